@@ -1,0 +1,1 @@
+//! Fits from calibration shots; plain inputs.

@@ -1,0 +1,1 @@
+//! The pair's state machine; sole owner of the rig.

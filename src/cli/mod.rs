@@ -1,0 +1,60 @@
+//! The command line: one file a command, each parses, calls one function of the library and prints.
+
+use clap::{Parser, Subcommand};
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+/// Exit codes, as documented in `unlit --help`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// Everything asked was done.
+    Success,
+    /// Something went wrong; the last line on stderr says what.
+    Failure,
+    /// The work was done, but at least one pair was rejected.
+    Rejected,
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        ExitCode::from(match exit {
+            Exit::Success => 0,
+            Exit::Failure => 1,
+            Exit::Rejected => 3,
+        })
+    }
+}
+
+/// Any command's error: the domain's own sentence is what the user reads.
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
+pub struct CliError(#[from] Box<dyn std::error::Error + Send + Sync>);
+
+impl CliError {
+    /// Wraps a domain error.
+    pub fn new(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
+        Self(error.into())
+    }
+}
+
+/// What a command gives back to `main`.
+pub type CliResult = Result<Exit, CliError>;
+
+/// Takes the light out of photographed objects.
+///
+/// Exit codes: 0 done; 1 failed, stderr says why; 2 the command line is wrong; 3 done, but a pair was rejected.
+#[derive(Parser)]
+#[command(version, name = "unlit", verbatim_doc_comment)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {}
+
+/// Parses `args` (the program's name first) and runs the command.
+pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
+    let cli = Cli::parse_from(args);
+    match cli.command {}
+}

@@ -1,0 +1,1 @@
+//! GLB, EXR, TIFF and report, from plain inputs.

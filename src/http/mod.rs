@@ -1,0 +1,1 @@
+//! The HTTP face: routes, events, page, OpenAPI. No logic.

@@ -1,0 +1,1 @@
+//! Queue, worker and one job's life.

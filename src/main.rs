@@ -1,0 +1,19 @@
+//! Parses the command line, runs the command, sets the exit code.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    tracing_subscriber::fmt()
+        .with_env_filter(
+            tracing_subscriber::EnvFilter::try_from_env("UNLIT_LOG").unwrap_or_else(|_| "warn".into()),
+        )
+        .with_writer(std::io::stderr)
+        .init();
+    match unlit::cli::run(std::env::args_os()) {
+        Ok(code) => code.into(),
+        Err(error) => {
+            eprintln!("unlit: {:#}", anyhow::Error::from(error));
+            unlit::cli::Exit::Failure.into()
+        }
+    }
+}

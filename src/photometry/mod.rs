@@ -1,0 +1,5 @@
+//! Pure photometry: what a raw sensor value means, and what of it is the flash's own light.
+
+mod mosaic;
+
+pub use mosaic::{Cfa, LevelSource, Levels, Mosaic};

@@ -1,0 +1,56 @@
+//! A frame as the sensor gave it: one value a site under a colour filter array.
+
+use crate::raster::Image;
+use serde::{Deserialize, Serialize};
+
+/// The 2x2 colour filter array: colour (0 = R, 1 = G, 2 = B) at `[row & 1][column & 1]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Cfa(pub [[u8; 2]; 2]);
+
+impl Cfa {
+    /// Red, green / green, blue.
+    pub const RGGB: Cfa = Cfa([[0, 1], [1, 2]]);
+
+    /// Colour (0 = R, 1 = G, 2 = B) of the site at column `x`, row `y`.
+    pub fn colour(&self, x: usize, y: usize) -> usize {
+        usize::from(self.0[y & 1][x & 1])
+    }
+}
+
+/// Where a level came from, best first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LevelSource {
+    /// Fitted from calibration shots of this body.
+    Measured,
+    /// Mean of the frame's own masked border pixels.
+    MaskedPixels,
+    /// A tag of the file.
+    FileTag,
+    /// The decoder library's table for the model: a fallback that reports name.
+    DecoderTable,
+}
+
+/// Sensor levels in DN, one a position of the 2x2 array, indexed `[row & 1][column & 1]`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Levels {
+    /// DN of no light.
+    pub black: [[f32; 2]; 2],
+    /// DN at and above which a site counts as clipped.
+    pub saturation: [[f32; 2]; 2],
+    /// Origin of `black`.
+    pub black_source: LevelSource,
+    /// Origin of `saturation`.
+    pub saturation_source: LevelSource,
+}
+
+/// A raw frame's active area: DN as read, nothing subtracted, nothing scaled.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mosaic {
+    /// Sensor values.
+    pub dn: Image<u16>,
+    /// Filter array, aligned to the active area's first site.
+    pub cfa: Cfa,
+    /// Black and saturation.
+    pub levels: Levels,
+}

@@ -1,0 +1,1 @@
+//! Files to results, in stages keyed by the digest of their inputs.

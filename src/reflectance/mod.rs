@@ -1,0 +1,1 @@
+//! Weighted least squares per surface point, iterated with the bounces.

@@ -1,0 +1,6 @@
+//! The rig: what stands in the photographer's room. Synchronous, `Send` driver traits; one driver a file.
+//! [`crate::capture`] alone owns a rig.
+
+mod traits;
+
+pub use traits::{Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, ShotFile};

@@ -1,0 +1,19 @@
+//! The scene: meshes and cameras in metres, one right-handed world, and the importers that bring them there.
+
+mod camera;
+mod mesh;
+
+pub use camera::{Camera, Distortion, Intrinsics};
+pub use mesh::Mesh;
+
+use serde::{Deserialize, Serialize};
+
+/// Everything that light is simulated on. The first mesh is the object whose texture is solved for; the
+/// others (a floor, a stage) only take part in shadows and bounces.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Scene {
+    /// Posed cameras, by photo name.
+    pub cameras: Vec<Camera>,
+    /// Meshes, the object first.
+    pub meshes: Vec<Mesh>,
+}

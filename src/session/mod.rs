@@ -1,0 +1,1 @@
+//! The session folder: layout, journal, atomic writes, checksums, lock.

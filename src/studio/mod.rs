@@ -1,0 +1,10 @@
+//! The simulated studio: a world at the end of the real wires.
+//!
+//! The camera is a PTP/IP responder that the unmodified libgphoto2 opens as a Canon EOS; the flash board is
+//! the firmware's own C core on a pseudo terminal that the real serial driver opens; between them runs the
+//! X-sync contact. What the camera sees comes from a path tracer that shares only the ray kernel with
+//! [`crate::light`].
+
+mod wires;
+
+pub use wires::{Exposure, SyncContact, View};
