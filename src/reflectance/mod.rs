@@ -15,3 +15,4 @@ pub mod bounce;
 pub mod maps;
 pub mod observe;
 pub mod solve;
+pub mod texture;
