@@ -3,3 +3,5 @@
 mod evaluate;
 mod floors;
 mod scene_import;
+mod raw;
+mod session;
