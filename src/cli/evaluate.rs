@@ -3,6 +3,7 @@
 use super::{CliError, CliResult, Exit};
 use crate::pipeline::evaluate::{Errors, Estimate, evaluate};
 use crate::progress::Progress;
+use crate::session::Session;
 use std::path::PathBuf;
 
 /// Arguments of `unlit evaluate`.
@@ -20,7 +21,8 @@ pub(super) struct Args {
 
 /// Scores and prints.
 pub(super) fn run(args: Args) -> CliResult {
-    let evaluation = evaluate(&args.session, &args.truth, &Progress::silent()).map_err(CliError::new)?;
+    let session = Session::open_shared(&args.session).map_err(CliError::new)?;
+    let evaluation = evaluate(&session, &args.truth, &Progress::silent()).map_err(CliError::new)?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&evaluation).map_err(CliError::new)?);
         return Ok(Exit::Success);

@@ -2,6 +2,6 @@
 
 mod evaluate;
 mod floors;
-mod scene_import;
 mod raw;
+mod scene_import;
 mod session;
