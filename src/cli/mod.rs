@@ -1,5 +1,9 @@
 //! The command line: one file a command, each parses, calls one function of the library and prints.
 
+mod evaluate;
+mod import;
+mod import_scene;
+
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -51,10 +55,19 @@ struct Cli {
 }
 
 #[derive(Subcommand)]
-enum Command {}
+enum Command {
+    /// Bring what was made elsewhere into a session.
+    #[command(subcommand)]
+    Import(import::Import),
+    /// Compare a session's reflectance with a known truth.
+    Evaluate(evaluate::Args),
+}
 
 /// Parses `args` (the program's name first) and runs the command.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
     let cli = Cli::parse_from(args);
-    match cli.command {}
+    match cli.command {
+        Command::Import(what) => import::run(what),
+        Command::Evaluate(args) => evaluate::run(args),
+    }
 }

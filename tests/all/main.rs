@@ -1,5 +1,9 @@
 //! The one integration-test binary; a module a subject.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that panics has spoken")]
+
+mod evaluate;
 mod floors;
 mod raw;
 mod scene_import;
+mod session;
