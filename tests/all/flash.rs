@@ -214,6 +214,71 @@ fn a_board_that_resets_between_arming_and_sync_is_noticed() {
 }
 
 #[test]
+fn a_reset_whose_boot_event_is_lost_is_noticed() {
+    let (board, mut flash) = bench(quick());
+    flash.arm(1, TTL).unwrap();
+    board.close();
+    one(&mut flash);
+    board.lose(1, 0);
+    board.reset();
+    match flash.syncs(PATIENCE) {
+        Err(FlashError::Lost { reason, .. }) => assert!(reason.contains("restarted"), "{reason}"),
+        other => panic!("a restart was passed over: {other:?}"),
+    }
+}
+
+#[test]
+fn a_board_plugged_in_again_is_found_under_its_name_and_must_be_armed_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let by_id = folder.path().join("usb-unlit-controller");
+    let board = Board::start(quick()).unwrap();
+    std::os::unix::fs::symlink(board.device(), &by_id).unwrap();
+    let mut flash = SerialFlash::open(&by_id).unwrap();
+    flash.arm(1, TTL).unwrap();
+    drop(board);
+    let board = Board::start(quick()).unwrap();
+    std::fs::remove_file(&by_id).unwrap();
+    std::os::unix::fs::symlink(board.device(), &by_id).unwrap();
+    let deadline = Instant::now() + Duration::from_secs(10);
+    while !flash.status().ready {
+        assert!(Instant::now() < deadline, "{:?}", flash.status());
+    }
+    assert_eq!(board.close(), 0.0);
+    let error = flash.syncs(PATIENCE).unwrap_err();
+    assert!(error.to_string().contains("restarted"), "{error}");
+    flash.arm(2, TTL).unwrap();
+    assert!(board.close() > 0.9);
+}
+
+#[test]
+fn a_lost_report_is_fetched() {
+    let (board, mut flash) = bench(quick());
+    flash.arm(1, TTL).unwrap();
+    board.lose(2, 0); // "disarm why=used" and the shot itself
+    assert!(board.close() > 0.9);
+    let first = one(&mut flash);
+    assert_eq!((first.number, first.tag, first.triggered), (1, 1, true));
+    assert!(first.energy_counts.is_some());
+
+    flash.disarm().unwrap();
+    board.lose(1, 0);
+    board.close();
+    let dark = one(&mut flash);
+    assert_eq!((dark.number, dark.triggered), (2, false));
+}
+
+#[test]
+fn lost_answers_are_asked_for_again() {
+    let (board, mut flash) = bench(quick());
+    flash.disarm().unwrap();
+    board.lose(0, 2);
+    flash.arm(3, TTL).unwrap();
+    assert!(board.close() > 0.9);
+    assert_eq!(board.close(), 0.0);
+    assert_eq!(one(&mut flash).tag, 3);
+}
+
+#[test]
 fn a_misfire_is_a_trigger_without_light() {
     let (board, mut flash) = bench(quick());
     board.misfire(1);

@@ -129,10 +129,10 @@ impl Worker {
                 None => {}
             }
         }
-        if let Some(link) = &mut self.link {
-            if let Err(error) = link.request("disarm") {
-                tracing::warn!(%error, "flash controller did not confirm the closed gate; it closes by itself");
-            }
+        if let Some(link) = &mut self.link
+            && let Err(error) = link.request("disarm")
+        {
+            tracing::warn!(%error, "flash controller did not confirm the closed gate; it closes by itself");
         }
     }
 

@@ -16,7 +16,7 @@ use super::SyncContact;
 use serialport::{SerialPort, TTYPort};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -56,8 +56,11 @@ struct Bench {
     lamp: Lamp,
     diode: Diode,
     options: BoardOptions,
-    boot: u16,
     started: Instant,
+    /// When the core last booted; its clock starts there, us.
+    booted: u64,
+    /// Lines to the host that the wire is yet to lose: events, answers.
+    lose: (u32, u32),
     /// Time of the next photodiode sample, us.
     next_sample: u64,
     /// Until when every sample is simulated, us.
@@ -75,12 +78,13 @@ impl Bench {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
         }
         let mut bench = Self {
-            core: Core::new(Config { rec_ms, ..Config::default() }, 1, 0),
+            core: Core::new(Config { rec_ms, ..Config::default() }, next_boot(), 0),
             lamp: Lamp::new(options.seed, options.jitter_sd, options.recycle),
             diode: Diode::new(options.seed ^ 0x5EED_D10D),
             options,
-            boot: 1,
             started: Instant::now(),
+            booted: 0,
+            lose: (0, 0),
             next_sample: 0,
             window_until: 0,
         };
@@ -100,9 +104,9 @@ impl Bench {
         self.started.elapsed().as_micros() as u64
     }
 
-    /// The core's clock: the same time, modulo 2^32.
-    fn core_time(now: u64) -> u32 {
-        now as u32
+    /// The core's clock: time since its boot, modulo 2^32.
+    fn core_time(&self, now: u64) -> u32 {
+        (now - self.booted) as u32
     }
 
     /// Lets time pass up to `now`: light first, so that the core never judges a window it has not seen.
@@ -111,7 +115,8 @@ impl Bench {
         self.next_sample = self.next_sample.max(now.saturating_sub(IDLE_SAMPLES * SAMPLE_US));
         self.sample_until(now);
         let rises = self.core.rises();
-        self.core.poll(Self::core_time(now));
+        let core_time = self.core_time(now);
+        self.core.poll(core_time);
         if self.core.rises() > rises {
             self.fire(now);
         }
@@ -141,7 +146,8 @@ impl Bench {
     fn close_contact(&mut self) -> f64 {
         let now = self.now();
         self.advance(now);
-        if self.core.sync_edge(Self::core_time(now)) {
+        let core_time = self.core_time(now);
+        if self.core.sync_edge(core_time) {
             return self.fire(now);
         }
         self.open_window(now);
@@ -151,16 +157,37 @@ impl Bench {
     fn exchange(&mut self, from_host: &[u8]) -> Vec<u8> {
         let now = self.now();
         self.advance(now);
-        self.core.receive(from_host, Self::core_time(now));
-        self.core.sent()
+        let core_time = self.core_time(now);
+        self.core.receive(from_host, core_time);
+        let mut sent = self.core.sent();
+        if self.lose != (0, 0) {
+            sent = self.without_lost_lines(&sent);
+        }
+        sent
+    }
+
+    fn without_lost_lines(&mut self, sent: &[u8]) -> Vec<u8> {
+        let lost = |line: &&[u8]| {
+            let left = if line.starts_with(b"!") { &mut self.lose.0 } else { &mut self.lose.1 };
+            let lost = *left > 0;
+            *left -= u32::from(lost);
+            !lost
+        };
+        sent.split_inclusive(|byte| *byte == b'\n').filter(lost).flatten().copied().collect()
     }
 
     fn reset(&mut self) {
-        self.boot = self.boot.wrapping_add(1);
+        self.booted = self.now();
         let rec_ms = self.options.recycle.as_millis() as u16;
-        self.core = Core::new(Config { rec_ms, ..Config::default() }, self.boot, Self::core_time(self.now()));
+        self.core = Core::new(Config { rec_ms, ..Config::default() }, next_boot(), 0);
         self.settle();
     }
+}
+
+/// A real board counts its boots in EEPROM; simulated ones share a counter, so that no two are mistaken.
+fn next_boot() -> u16 {
+    static BOOTS: AtomicU16 = AtomicU16::new(1);
+    BOOTS.fetch_add(1, Ordering::Relaxed)
 }
 
 /// A running board. Dropping it unplugs it: the driver's port breaks.
@@ -197,6 +224,11 @@ impl Board {
     /// Fault: the next `count` triggers give no light.
     pub fn misfire(&self, count: u32) {
         lock(&self.bench).lamp.misfire(count);
+    }
+
+    /// Fault: the wire loses the next so many events and answers.
+    pub fn lose(&self, events: u32, answers: u32) {
+        lock(&self.bench).lose = (events, answers);
     }
 
     /// Fault: the board resets, as after a brown-out; it forgets everything and boots with a new number.
