@@ -3,3 +3,5 @@
 
 mod flash;
 mod floors;
+mod raw;
+mod scene_import;
