@@ -1,8 +1,10 @@
 //! The one integration-test binary; a module a subject.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test's helpers may fail as its body may")]
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that panics has spoken")]
 
 mod evaluate;
+mod flash;
 mod floors;
 mod raw;
 mod scene_import;
