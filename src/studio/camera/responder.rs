@@ -14,6 +14,7 @@ mod answer {
     pub(super) const UNSUPPORTED: u16 = 0x2005;
     pub(super) const NO_OBJECT: u16 = 0x2009;
     pub(super) const NO_PROPERTY: u16 = 0x200a;
+    pub(super) const NO_CARD: u16 = 0x2013;
     pub(super) const BUSY: u16 = 0x2019;
     pub(super) const BAD_VALUE: u16 = 0x201c;
     pub(super) const BAD_PARAMETER: u16 = 0x201d;
@@ -214,6 +215,9 @@ fn release(shared: &Arc<Shared>) -> io::Result<Answer> {
     let mut body = shared.body()?;
     if body.exposing {
         return Ok(Answer::code(answer::BUSY));
+    }
+    if !body.to_computer() {
+        return Ok(Answer::code(answer::NO_CARD));
     }
     let Some(exposure) = body.exposure() else {
         return Ok(Answer::code(answer::GENERAL));
