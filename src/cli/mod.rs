@@ -1,5 +1,7 @@
 //! The command line: one file a command, each parses, calls one function of the library and prints.
 
+mod camera_host;
+
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -51,10 +53,16 @@ struct Cli {
 }
 
 #[derive(Subcommand)]
-enum Command {}
+enum Command {
+    /// Runs one camera for another unlit process.
+    #[command(hide = true)]
+    CameraHost(camera_host::Args),
+}
 
 /// Parses `args` (the program's name first) and runs the command.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
     let cli = Cli::parse_from(args);
-    match cli.command {}
+    match cli.command {
+        Command::CameraHost(args) => camera_host::run(&args),
+    }
 }

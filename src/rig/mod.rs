@@ -1,6 +1,8 @@
 //! The rig: what stands in the photographer's room. Synchronous, `Send` driver traits; one driver a file.
 //! [`crate::capture`] alone owns a rig.
 
+pub mod camera;
 mod traits;
+pub mod usb;
 
 pub use traits::{Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, ShotFile};

@@ -52,7 +52,8 @@ pub(super) fn serve(mut stream: TcpStream, shared: &Arc<Shared>) -> io::Result<(
         kind::INIT_COMMAND => {
             let mut name: Vec<u8> = NAME.encode_utf16().flat_map(u16::to_le_bytes).collect();
             name.extend([0, 0]);
-            let (connection, guid, version) = (1_u32.to_le_bytes(), [0x55; 16], 0x0001_0000_u32.to_le_bytes());
+            let (connection, guid, version) =
+                (1_u32.to_le_bytes(), [0x55; 16], 0x0001_0000_u32.to_le_bytes());
             packet::write(&mut stream, kind::INIT_COMMAND_ACK, &[&connection, &guid, &name, &version])?;
             shared.body()?.reset_client();
             commands(stream, shared)
@@ -91,7 +92,10 @@ fn commands(mut stream: TcpStream, shared: &Arc<Shared>) -> io::Result<()> {
         shared.pass_stall()?;
         tracing::trace!("{:04x} {:x?} {:x?}", request.operation, request.parameters, sent);
         if request.operation == op::GET_PARTIAL_OBJECT && shared.take_fault(Fault::DropInDownload)? {
-            return Err(io::Error::new(io::ErrorKind::ConnectionAborted, "link dropped in a download, as asked"));
+            return Err(io::Error::new(
+                io::ErrorKind::ConnectionAborted,
+                "link dropped in a download, as asked",
+            ));
         }
         let answer = operate(&request, &sent, shared)?;
         reply(&mut stream, &request, &answer)?;
