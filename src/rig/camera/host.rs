@@ -5,8 +5,8 @@
 //! the socket that it was given as standard input and answers there; whatever the library prints goes to
 //! standard error. It ends when the socket does, even from inside a call that hangs.
 
-use super::labels;
 use super::protocol::{self, Dial, Offered, Reply, Request, Trouble};
+use super::{labels, log};
 use crate::pair::Settings;
 use crate::rig::CameraInfo;
 use gphoto2::camera::CameraEvent;
@@ -59,9 +59,15 @@ pub fn run(port: Option<&str>) -> Result<(), HostError> {
         std::process::exit(0);
     })?;
     let mut host = Host { port: port.map(str::to_owned), context: None, open: None };
+    log::listen();
     for request in requests {
+        log::take();
         let (reply, payload) = host.answer(&request).unwrap_or_else(|failure| {
-            (Reply::Failed { trouble: failure.trouble, reason: failure.reason }, Vec::new())
+            let reason = match log::take() {
+                log if log.is_empty() => failure.reason,
+                log => format!("{} ({log})", failure.reason),
+            };
+            (Reply::Failed { trouble: failure.trouble, reason }, Vec::new())
         });
         protocol::send(&mut link, &reply, &payload)?;
     }

@@ -6,6 +6,7 @@
 
 pub mod host;
 mod labels;
+mod log;
 mod process;
 mod protocol;
 
@@ -186,8 +187,7 @@ impl HostedCamera {
         }
     }
 
-    /// Asks with the camera open. A host found dead before it can have read the question is replaced once.
-    /// Busy is asked again after a pause.
+    /// Asks with the camera open. Busy is asked again after a pause.
     fn ask_again(
         &mut self,
         operation: &str,
@@ -207,7 +207,7 @@ impl HostedCamera {
         }
     }
 
-    /// Asks the running host.
+    /// Asks the running host; one that was gone before it read the question is replaced once.
     fn ask(
         &mut self,
         operation: &str,
@@ -215,8 +215,16 @@ impl HostedCamera {
         deadline: Duration,
     ) -> Result<(Reply, Vec<u8>), CameraError> {
         let began = Instant::now();
+        let opening = *request == Request::Open;
         let host = self.host.as_mut().ok_or_else(|| CameraError::Host("it is not running".into()))?;
-        let (trouble, reason) = match host.ask(request, deadline) {
+        let answer = match host.ask(request, deadline) {
+            Err(AskError::GoneBefore(_)) if !opening => {
+                self.kill();
+                self.connect()?.ask(request, deadline)
+            }
+            answer => answer,
+        };
+        let (trouble, reason) = match answer {
             Ok((Reply::Failed { trouble, reason }, _)) => (trouble, reason),
             Ok(answer) => return Ok(answer),
             Err(AskError::Deadline) => {
@@ -228,7 +236,6 @@ impl HostedCamera {
                 return Err(gone(&error));
             }
         };
-        let opening = *request == Request::Open;
         Err(match trouble {
             Trouble::Busy => CameraError::Busy(reason),
             Trouble::Claimed => CameraError::Claimed { port: self.port.clone() },

@@ -17,9 +17,9 @@ const GOODBYE: Duration = Duration::from_secs(4);
 pub(super) enum AskError {
     /// The deadline passed.
     Deadline,
-    /// The host went away before it could have read the request.
+    /// The host went away without having read the request: nothing was done.
     GoneBefore(io::Error),
-    /// The host went away after it may have read the request.
+    /// The host went away after it had read the request: it may have been carried out.
     Gone(io::Error),
 }
 
@@ -71,8 +71,8 @@ impl Process {
         deadline: Duration,
     ) -> Result<(Reply, Vec<u8>), AskError> {
         let mut timed = Timed { link: &self.link, until: Instant::now() + deadline };
-        protocol::send(&mut timed, request, &[]).map_err(|error| sort(error, AskError::GoneBefore))?;
-        protocol::receive(&mut timed).map_err(|error| sort(error, AskError::Gone))
+        protocol::send(&mut timed, request, &[]).map_err(sort)?;
+        protocol::receive(&mut timed).map_err(sort)
     }
 
     /// Ends it at once.
@@ -81,10 +81,13 @@ impl Process {
     }
 }
 
-fn sort(error: io::Error, gone: impl FnOnce(io::Error) -> AskError) -> AskError {
+/// A local socket is reset only when its other end closes with something unread; after a request that was
+/// read, it just ends. A host reads a request whole before it acts.
+fn sort(error: io::Error) -> AskError {
     match error.kind() {
         io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => AskError::Deadline,
-        _ => gone(error),
+        io::ErrorKind::BrokenPipe | io::ErrorKind::ConnectionReset => AskError::GoneBefore(error),
+        _ => AskError::Gone(error),
     }
 }
 
