@@ -3,6 +3,7 @@
 mod evaluate;
 mod import;
 mod import_scene;
+mod camera_host;
 
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
@@ -61,6 +62,9 @@ enum Command {
     Import(import::Import),
     /// Compare a session's reflectance with a known truth.
     Evaluate(evaluate::Args),
+    /// Runs one camera for another unlit process.
+    #[command(hide = true)]
+    CameraHost(camera_host::Args),
 }
 
 /// Parses `args` (the program's name first) and runs the command.
@@ -69,5 +73,6 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
     match cli.command {
         Command::Import(what) => import::run(what),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::CameraHost(args) => camera_host::run(&args),
     }
 }

@@ -5,6 +5,9 @@
 
 mod evaluate;
 mod flash;
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on stops where it is")]
+
+mod camera;
 mod floors;
 mod raw;
 mod scene_import;
