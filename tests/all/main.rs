@@ -1,5 +1,6 @@
 //! The one integration-test binary; a module a subject.
 
 mod floors;
+mod pairs;
 mod raw;
 mod session;
