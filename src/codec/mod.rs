@@ -1,5 +1,10 @@
 //! The only caller of file decoders and encoders.
 
+pub mod asset;
 pub mod dng;
 pub mod exif;
+pub mod exr_image;
+pub mod obj;
+pub mod png;
 pub mod raw;
+pub mod tiff16;

@@ -4,3 +4,4 @@ mod floors;
 mod pairs;
 mod raw;
 mod session;
+mod scene_import;
