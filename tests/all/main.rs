@@ -1,7 +1,8 @@
 //! The one integration-test binary; a module a subject.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test's helpers may fail as its body may")]
 
 mod floors;
 mod pairs;
 mod raw;
-mod session;
 mod scene_import;
+mod session;
