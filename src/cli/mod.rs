@@ -4,6 +4,10 @@ mod evaluate;
 mod import;
 mod import_scene;
 mod camera_host;
+mod import;
+mod import_pairs;
+mod inspect;
+mod new;
 
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
@@ -65,6 +69,13 @@ enum Command {
     /// Runs one camera for another unlit process.
     #[command(hide = true)]
     CameraHost(camera_host::Args),
+    /// Makes a session: a folder for pairs, calibration, scene and results.
+    New(new::New),
+    /// Brings files into a session: pairs shot to a card, or the reconstructed scene.
+    #[command(subcommand)]
+    Import(import::Import),
+    /// Shows the true sensor values of a raw file, to find an exposure.
+    Inspect(inspect::Inspect),
 }
 
 /// Parses `args` (the program's name first) and runs the command.
@@ -74,5 +85,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
         Command::Import(what) => import::run(what),
         Command::Evaluate(args) => evaluate::run(args),
         Command::CameraHost(args) => camera_host::run(&args),
+        Command::New(arguments) => new::run(&arguments),
+        Command::Import(import) => import::run(&import),
+        Command::Inspect(arguments) => inspect::run(&arguments),
     }
 }

@@ -9,6 +9,7 @@ mod flash;
 
 mod camera;
 mod floors;
+mod pairs;
 mod raw;
 mod scene_import;
 mod session;
