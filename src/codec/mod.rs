@@ -1,1 +1,5 @@
 //! The only caller of file decoders and encoders.
+
+pub mod dng;
+pub mod exif;
+pub mod raw;
