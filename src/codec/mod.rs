@@ -2,4 +2,5 @@
 
 pub mod dng;
 pub mod exif;
+pub mod jpeg;
 pub mod raw;
