@@ -3,7 +3,7 @@
 
 use super::engine::{AfterPair, CaptureError, Engine};
 use super::events::{Events, Topic};
-use super::place::{CalibrationShot, PlaceError, calibration_shots};
+use super::place::{CalibrationShot, PlaceError, calibration_shots, name_of};
 use super::thumbnail::{self, ThumbnailError};
 use super::{Devices, Frame};
 use crate::jobs::{Job, JobsError, Lane, Order, Queue, Work, WorkError};
@@ -187,7 +187,11 @@ impl Desk {
         let told = events.clone();
         let queue = Queue::start(move |job| {
             if let Some(problem) = &job.problem {
-                told.tell(Topic::Trouble, problem.words.clone(), json!({ "code": problem.code, "job": job.id }));
+                told.tell(
+                    Topic::Trouble,
+                    problem.words.clone(),
+                    json!({ "code": problem.code, "job": job.id }),
+                );
             }
             told.tell(Topic::Job, job.stage.clone(), json!(job));
         })?;
@@ -479,10 +483,6 @@ fn unreadable(name: &str, error: &DeskError) -> SessionSummary {
         results: Vec::new(),
         problem: Some(error.to_string()),
     }
-}
-
-fn name_of(session: &Session) -> String {
-    session.path().file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 fn checked_name(name: &str) -> Result<&str, DeskError> {

@@ -6,7 +6,7 @@
 
 use super::bench::{Bench, Devices, NO_FLASH, RigSource};
 use super::events::{Events, Topic};
-use super::place::{CalibrationShot, CardPlace, PairPlace, Place, PlaceError};
+use super::place::{CalibrationShot, CardPlace, PairPlace, Place, PlaceError, name_of};
 use super::prompt::Prompter;
 use super::run::Run;
 use crate::pair::{PairRecord, Verdict, checks};
@@ -151,7 +151,7 @@ impl Engine {
             after_pair(&record);
         }
         let data = json!({
-            "session": session.manifest().name,
+            "session": name_of(session),
             "number": record.number,
             "verdict": record.verdict,
         });
@@ -171,7 +171,7 @@ impl Engine {
         self.shoot(&mut place, progress)?;
         let shot = place.into_shot().ok_or(PlaceError::Incomplete)?;
         let words = format!("Calibration shot {} at {} m is stored.", shot.name, shot.distance_m);
-        let data = json!({ "session": session.manifest().name, "name": shot.name });
+        let data = json!({ "session": name_of(session), "name": shot.name });
         self.events.tell(Topic::CalibrationShot, words, data);
         Ok(shot)
     }

@@ -66,6 +66,11 @@ impl<'a> PairPlace<'a> {
     }
 }
 
+/// A session's name among its like: its folder's.
+pub(super) fn name_of(session: &Session) -> String {
+    session.path().file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
 fn note(session: &Session, what: &str, detail: serde_json::Value) -> Result<(), PlaceError> {
     Ok(session.record(session::Event::Note { what: what.to_owned(), detail })?)
 }
@@ -87,7 +92,11 @@ impl Place for PairPlace<'_> {
                 original_name: &shots.off.name,
                 settings: shots.off_settings,
             },
-            on: NewFrame { bytes: &shots.on.bytes, original_name: &shots.on.name, settings: shots.on_settings },
+            on: NewFrame {
+                bytes: &shots.on.bytes,
+                original_name: &shots.on.name,
+                settings: shots.on_settings,
+            },
             reasons: shots.reasons,
             flash: shots.flash,
         })?;
@@ -200,8 +209,10 @@ impl<'a> CardPlace<'a> {
             .prefix(store::TEMPORARY_PREFIX)
             .tempdir_in(&folder)
             .map_err(disk(&folder))?;
-        let json = serde_json::to_vec_pretty(shot)
-            .map_err(|e| SessionError::Damaged { path: aside.path().join(SHOT_RECORD), why: e.to_string() })?;
+        let json = serde_json::to_vec_pretty(shot).map_err(|e| SessionError::Damaged {
+            path: aside.path().join(SHOT_RECORD),
+            why: e.to_string(),
+        })?;
         for (name, bytes) in
             [(shot.off.file.as_str(), off), (shot.on.file.as_str(), on), (SHOT_RECORD, json.as_slice())]
         {

@@ -58,8 +58,7 @@ impl Prompter {
             if let Err(cancelled) = progress.check() {
                 break Err(cancelled);
             }
-            question =
-                self.answered.wait_timeout(question, GLANCE).unwrap_or_else(PoisonError::into_inner).0;
+            question = self.answered.wait_timeout(question, GLANCE).unwrap_or_else(PoisonError::into_inner).0;
         };
         *question = Question::default();
         drop(question);

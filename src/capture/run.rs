@@ -191,7 +191,9 @@ impl<'a> Run<'a> {
             return Err(error.into());
         }
         let done = match self.bench.flash()? {
-            FlashKind::Controller(flash) => flash.disarm().and_then(|()| flash.syncs(Duration::ZERO).map(drop)),
+            FlashKind::Controller(flash) => {
+                flash.disarm().and_then(|()| flash.syncs(Duration::ZERO).map(drop))
+            }
             FlashKind::Manual => {
                 self.prompter.ask("Switch the flash off, then confirm.", self.progress)?;
                 Ok(())

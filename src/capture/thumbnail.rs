@@ -67,7 +67,8 @@ fn render(mosaic: &Mosaic) -> Image<[u8; 3]> {
     let block = cells_x.max(cells_y).div_ceil(EDGE).max(1);
     let linear = Image::from_fn(cells_x / block, cells_y / block, |x, y| average(mosaic, x, y, block));
     let count = linear.pixels().len().max(1) as f32;
-    let mean = linear.pixels().iter().fold([0.0f32; 3], |sum, p| std::array::from_fn(|c| sum[c] + p[c] / count));
+    let mean =
+        linear.pixels().iter().fold([0.0f32; 3], |sum, p| std::array::from_fn(|c| sum[c] + p[c] / count));
     let neutral = mean.map(|m| if m > 1e-4 { mean[1] / m } else { 1.0 });
     linear.map(|p| std::array::from_fn(|c| srgb(p[c] * neutral[c])))
 }

@@ -99,7 +99,8 @@ mod tests {
         for host in ["localhost", "localhost:8710", "127.0.0.1:1", "[::1]:8710", "[::1]"] {
             assert!(is_loopback_authority(host), "{host}");
         }
-        for host in ["", "evil.example", "127.0.0.1.evil.example:80", "localhost:", "localhost:x", "[::2]:1"] {
+        for host in ["", "evil.example", "127.0.0.1.evil.example:80", "localhost:", "localhost:x", "[::2]:1"]
+        {
             assert!(!is_loopback_authority(host), "{host}");
         }
     }

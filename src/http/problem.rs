@@ -12,18 +12,18 @@ use utoipa::ToSchema;
 
 /// A problem, as RFC 9457 lays it out.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
-pub struct ProblemBody {
+pub(super) struct ProblemBody {
     /// The HTTP status again.
     #[schema(example = 404)]
-    pub status: u16,
+    pub(super) status: u16,
     /// Stable name of the problem, for scripts.
     #[schema(example = "session_not_found")]
-    pub code: String,
+    pub(super) code: String,
     /// The status in words.
     #[schema(example = "Not Found")]
-    pub title: String,
+    pub(super) title: String,
     /// What is the matter and what to do, for people.
-    pub detail: String,
+    pub(super) detail: String,
 }
 
 /// A problem on its way to the client.

@@ -91,11 +91,8 @@ impl Queue {
     /// Starts both lanes. `notice` hears of every change of any job, from the thread that made it, and must
     /// not block.
     pub fn start(notice: impl Fn(&Job) + Send + Sync + 'static) -> std::io::Result<Self> {
-        let shared = Arc::new(Shared {
-            book: Mutex::default(),
-            woken: Condvar::new(),
-            notice: Box::new(notice),
-        });
+        let shared =
+            Arc::new(Shared { book: Mutex::default(), woken: Condvar::new(), notice: Box::new(notice) });
         for (lane, name) in [(Lane::Rig, "jobs-rig"), (Lane::Processing, "jobs-processing")] {
             let shared = shared.clone();
             std::thread::Builder::new().name(name.into()).spawn(move || work_off(&shared, lane))?;
@@ -267,8 +264,7 @@ fn next(shared: &Shared, lane: Lane) -> Option<(JobId, Progress, Work)> {
         if book.closed {
             return None;
         }
-        let waiting =
-            book.entries.iter_mut().find(|e| e.job.lane == lane && e.job.state == JobState::Queued);
+        let waiting = book.entries.iter_mut().find(|e| e.job.lane == lane && e.job.state == JobState::Queued);
         if let Some(entry) = waiting
             && let Some(work) = entry.work.take()
         {
