@@ -1,5 +1,11 @@
 //! Light: the ray kernel, the ring lamp, direct light, and the transport of bounces.
 
+mod elements;
 mod kernel;
+mod ring;
+mod transport;
 
+pub use elements::{Elements, interpolate};
 pub use kernel::{Hit, RayKernel};
+pub use ring::{Ring, RingError};
+pub use transport::Transport;

@@ -1,1 +1,17 @@
-//! Weighted least squares per surface point, iterated with the bounces.
+//! Reflectance: measured light over simulated light, solved for every surface point over all views.
+//!
+//! Image by image the ratio explodes where little light falls: at grazing angles, silhouettes and shadow
+//! edges. So measured and simulated light stay apart, and each point's reflectance rho minimises
+//! `sum of w (P - rho m)^2` over the views that see it, m being what a white surface would have read
+//! ([`observe`], [`solve`]). Bounced light depends on rho: [`bounce`] simulates it with the estimate so far and
+//! solves again until it stands still. [`atlas`] lays the points out in the texture, [`maps`] gives the
+//! per-view images for those who texture elsewhere.
+//!
+//! Units: light in DN of the sensor, so that the lamp's calibrated radiance is all that ties them together;
+//! reflectance unit-free, camera RGB, Lambertian (exitance over irradiance).
+
+pub mod atlas;
+pub mod bounce;
+pub mod maps;
+pub mod observe;
+pub mod solve;

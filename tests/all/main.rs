@@ -3,3 +3,4 @@
 mod floors;
 mod raw;
 mod session;
+mod scene_import;

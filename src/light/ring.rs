@@ -1,0 +1,221 @@
+//! The ring lamp: an annulus of uniform radiance in the lens plane, and the irradiance that it throws on a
+//! small surface.
+//!
+//! Closed form. By Lambert's formula the irradiance of a uniform Lambertian source on an element with normal
+//! n is E = n . F, where the vector irradiance F = L/2 * closed integral of (r x dl) / |r|^2 runs round the
+//! source's rim, r reaching from the element to the rim. (Gershun, "The Light Field", 1939; Arvo, "Analytic
+//! Methods for Simulated Light Transport", 1995, ch. 3.) For a disc of radius a in the plane z = 0, seen from
+//! a point at distance rho from its axis and height h, with A = a^2 + rho^2 + h^2 and B = 2 a rho,
+//!
+//! ```text
+//! I0 = closed integral of dt / (A - B cos t)       = 2 pi / sqrt(A^2 - B^2)
+//! I1 = closed integral of cos t dt / (A - B cos t) = (A I0 - 2 pi) / B
+//! F_radial = -L/2 h a I1
+//! F_axial  = -L/2 (pi - I0 (A - 2 a^2) / 2)
+//! ```
+//!
+//! and an annulus is the outer disc less the inner. The form holds while the whole annulus is above the
+//! element's horizon; where the horizon cuts it, the sum over 256 equal-area points takes its place.
+//! Shadow rays go to equal-area points too.
+
+use super::RayKernel;
+use glam::{DVec2, DVec3, Vec3};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::{PI, TAU};
+
+/// Equal-area points on the ring.
+const POINTS: usize = 32;
+
+/// Of which this many are tried first: if all of them see the element, the ring is taken as unshadowed.
+const PROBES: usize = 8;
+
+/// Inner and outer radius in metres of an annulus round the lens, in the plane z = 0 of the camera frame,
+/// shining one-sidedly towards +z.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Ring {
+    /// Inner radius, metres.
+    pub inner: f64,
+    /// Outer radius, metres.
+    pub outer: f64,
+}
+
+/// The radii do not make a ring.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("ring radii {inner} m and {outer} m make no ring: expected 0 <= inner < outer < 10 m, inner first")]
+pub struct RingError {
+    inner: f64,
+    outer: f64,
+}
+
+impl Ring {
+    /// A ring of these radii in metres.
+    pub fn new(inner: f64, outer: f64) -> Result<Self, RingError> {
+        if inner >= 0.0 && inner < outer && outer < 10.0 {
+            Ok(Self { inner, outer })
+        } else {
+            Err(RingError { inner, outer })
+        }
+    }
+
+    /// Irradiance per unit radiance (steradian-projected, unit-free) on an element at `point` with unit
+    /// `normal`, both in the camera frame, with nothing in the way.
+    pub fn irradiance(&self, point: DVec3, normal: DVec3) -> f64 {
+        if point.z <= 0.0 {
+            return 0.0;
+        }
+        let to_centre = -normal.dot(point);
+        let reach = self.outer * normal.truncate().length();
+        if to_centre <= -reach {
+            0.0
+        } else if to_centre >= reach {
+            let flux = disc_vector(self.outer, point) - disc_vector(self.inner, point);
+            normal.dot(flux).max(0.0)
+        } else {
+            // The horizon cuts the ring.
+            const FINE: usize = 256;
+            let area = PI * (self.outer * self.outer - self.inner * self.inner);
+            (0..FINE).map(|i| form(self.point(i, FINE), point, normal)).sum::<f64>() * area / FINE as f64
+        }
+    }
+
+    /// The same with shadows: `world_from_camera` places point and normal (camera frame) in the kernel's
+    /// world. `offset` (metres) keeps shadow rays off the surface that they start from.
+    pub fn shadowed_irradiance(
+        &self,
+        kernel: &RayKernel,
+        world_from_camera: &glam::DAffine3,
+        point: DVec3,
+        normal: DVec3,
+        offset: f64,
+    ) -> f64 {
+        let clear = self.irradiance(point, normal);
+        if clear <= 0.0 {
+            return 0.0;
+        }
+        let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
+        let visible = |i: usize| {
+            let lamp: Vec3 = world_from_camera.transform_point3(self.point(i, POINTS)).as_vec3();
+            !kernel.occluded(start, lamp - start, 0.0, 1.0)
+        };
+        // Points are ordered so that any run of them is spread over the ring.
+        let probe = |i: usize| (i * POINTS / PROBES + i % 2) % POINTS;
+        let seen = (0..PROBES).filter(|&i| visible(probe(i))).count();
+        if seen == PROBES {
+            return clear;
+        }
+        let (mut all, mut lit) = (0.0, 0.0);
+        for i in 0..POINTS {
+            let share = form(self.point(i, POINTS), point, normal);
+            if share > 0.0 {
+                all += share;
+                if visible(i) {
+                    lit += share;
+                }
+            }
+        }
+        if all > 0.0 { clear * lit / all } else { 0.0 }
+    }
+
+    /// The i-th of `n` equal-area points on a golden-angle spiral, camera frame, metres.
+    fn point(&self, i: usize, n: usize) -> DVec3 {
+        let share = (i as f64 + 0.5) / n as f64;
+        let radius = (self.inner * self.inner * (1.0 - share) + self.outer * self.outer * share).sqrt();
+        let angle = TAU * (i as f64 * 0.618_033_988_749_895).fract();
+        (radius * DVec2::from_angle(angle)).extend(0.0)
+    }
+}
+
+/// cos cos' / d^2 between a lamp point facing +z and the element.
+fn form(lamp: DVec3, point: DVec3, normal: DVec3) -> f64 {
+    let way = lamp - point;
+    let d2 = way.length_squared();
+    (normal.dot(way) * point.z).max(0.0) / (d2 * d2)
+}
+
+/// Vector irradiance of a unit-radiance disc of radius `a` at a point of the camera frame, pointing to the lamp.
+fn disc_vector(a: f64, point: DVec3) -> DVec3 {
+    if a <= 0.0 {
+        return DVec3::ZERO;
+    }
+    let across = point.truncate();
+    let (rho, h) = (across.length(), point.z);
+    let sum = a * a + rho * rho + h * h;
+    let cross = 2.0 * a * rho;
+    let i0 = TAU / ((sum - cross) * (sum + cross)).sqrt();
+    let ratio = cross / sum;
+    let i1 =
+        if ratio < 1e-4 { PI * ratio / sum * (1.0 + 0.75 * ratio * ratio) } else { (sum * i0 - TAU) / cross };
+    let axial = -0.5 * (PI - 0.5 * i0 * (sum - 2.0 * a * a));
+    let radial = -0.5 * h * a * i1;
+    let outward = if rho > 0.0 { across / rho } else { DVec2::ZERO };
+    (outward * radial).extend(axial)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Brute force over many ring points, horizon included.
+    fn summed(ring: &Ring, point: DVec3, normal: DVec3) -> f64 {
+        let n = 400_000;
+        let area = PI * (ring.outer.powi(2) - ring.inner.powi(2));
+        (0..n).map(|i| form(ring.point(i, n), point, normal)).sum::<f64>() * area / n as f64
+    }
+
+    #[test]
+    fn white_square_at_one_metre_has_the_known_radiance() {
+        let ring = Ring::new(0.010, 0.100).unwrap();
+        let e = 60.0 * ring.irradiance(DVec3::new(0.0, 0.0, 1.0), -DVec3::Z);
+        assert!((0.94 * e / PI - 0.5528).abs() < 5e-5, "{}", 0.94 * e / PI);
+    }
+
+    #[test]
+    fn closed_form_agrees_with_the_sum_over_the_ring() {
+        let ring = Ring::new(0.035, 0.085).unwrap();
+        for (point, normal) in [
+            (DVec3::new(0.0, 0.0, 0.8), DVec3::new(0.1, 0.2, -0.9)),
+            (DVec3::new(0.3, -0.2, 0.6), DVec3::new(-0.4, 0.1, -0.7)),
+            (DVec3::new(1e-7, 0.0, 0.3), DVec3::new(0.5, 0.0, -0.5)),
+            (DVec3::new(0.05, 0.02, 0.1), DVec3::new(0.0, 0.0, -1.0)),
+            (DVec3::new(-0.8, 0.9, 0.2), DVec3::new(0.7, -0.7, -0.1)),
+        ] {
+            let normal = normal.normalize();
+            let (closed, brute) = (ring.irradiance(point, normal), summed(&ring, point, normal));
+            assert!((closed / brute - 1.0).abs() < 2e-5, "{closed} {brute} at {point}");
+        }
+    }
+
+    #[test]
+    fn where_the_horizon_cuts_the_ring_the_sum_takes_over() {
+        let ring = Ring::new(0.035, 0.085).unwrap();
+        let (point, normal) = (DVec3::new(0.0, 0.02, 0.5), DVec3::new(1.0, 0.05, -0.02).normalize());
+        let (got, brute) = (ring.irradiance(point, normal), summed(&ring, point, normal));
+        assert!((got / brute - 1.0).abs() < 0.02, "{got} {brute}");
+        assert_eq!(ring.irradiance(point, DVec3::Z), 0.0);
+        assert_eq!(ring.irradiance(DVec3::new(0.0, 0.0, -0.5), DVec3::Z), 0.0);
+    }
+
+    #[test]
+    fn a_half_plane_before_half_the_ring_takes_half_the_light() {
+        let ring = Ring::new(0.035, 0.085).unwrap();
+        let far = 9.0;
+        let quad = [
+            Vec3::new(0.0, -far, 0.2),
+            Vec3::new(far, -far, 0.2),
+            Vec3::new(far, far, 0.2),
+            Vec3::new(0.0, far, 0.2),
+        ];
+        let kernel = RayKernel::build(vec![[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]);
+        let (point, normal) = (DVec3::new(0.0, 0.0, 0.8), -DVec3::Z);
+        let lit = ring.shadowed_irradiance(&kernel, &glam::DAffine3::IDENTITY, point, normal, 1e-4);
+        let share = lit / ring.irradiance(point, normal);
+        assert!((share - 0.5).abs() < 0.05, "{share}");
+    }
+
+    #[test]
+    fn radii_out_of_order_are_refused() {
+        assert!(Ring::new(0.085, 0.035).is_err());
+        assert!(Ring::new(-0.1, 0.035).is_err());
+        assert!(Ring::new(f64::NAN, 0.035).is_err());
+    }
+}

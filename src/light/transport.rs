@@ -1,0 +1,173 @@
+//! Transport of bounces: which element sees which, once and for all views and all rounds.
+//!
+//! From every element leave `rays` cosine-distributed directions (Malley's method on a Kronecker sequence,
+//! rotated for each element), and the element that each meets is kept. With cosine-distributed directions the
+//! irradiance from a diffuse surrounding is the plain mean of what is met: E = mean of rho E_total, since the
+//! radiance of a Lambertian surface is rho E / pi. (Kajiya 1986, for Lambertian surfaces: radiosity by
+//! gathering.) Geometry alone decides it, so it serves every view and every estimate of the reflectance.
+
+use super::Elements;
+use crate::progress::{Cancelled, Progress};
+use glam::{Quat, Vec3};
+use rayon::prelude::*;
+use std::f32::consts::TAU;
+
+/// No element in this direction: darkness.
+const NOTHING: u32 = u32::MAX;
+
+/// Elements per tile between two looks at the cancel flag.
+const TILE: usize = 4096;
+
+/// For every element, the elements that its rays meet.
+pub struct Transport {
+    rays: usize,
+    met: Vec<u32>,
+}
+
+impl Transport {
+    /// Traces `rays` directions from every element. A ray that meets a back face meets nothing: that is the
+    /// inside of a closed body.
+    pub fn trace(elements: &Elements, rays: usize, progress: &Progress) -> Result<Self, Cancelled> {
+        let mut met = vec![NOTHING; rays * elements.len()];
+        let tiles = elements.len().div_ceil(TILE);
+        let done = std::sync::atomic::AtomicUsize::new(0);
+        met.par_chunks_mut(rays * TILE).enumerate().try_for_each(|(tile, chunk)| {
+            progress.check()?;
+            for (k, row) in chunk.chunks_mut(rays).enumerate() {
+                gather(elements, tile * TILE + k, row);
+            }
+            let finished = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+            progress.report("tracing bounces", finished, tiles);
+            Ok(())
+        })?;
+        Ok(Self { rays, met })
+    }
+
+    /// One bounce: irradiance on every element from `exitance` = rho E of all others; `views` values a colour
+    /// channel triple are laid side by side (`exitance[element * width + i]`).
+    pub fn gather(&self, exitance: &[f32], width: usize, out: &mut [f32]) {
+        let scale = 1.0 / self.rays as f32;
+        out.par_chunks_mut(width).zip(self.met.par_chunks(self.rays)).for_each(|(sum, met)| {
+            sum.fill(0.0);
+            for &other in met.iter().filter(|&&other| other != NOTHING) {
+                let from = &exitance[other as usize * width..(other as usize + 1) * width];
+                for (s, x) in sum.iter_mut().zip(from) {
+                    *s += x;
+                }
+            }
+            for s in sum.iter_mut() {
+                *s *= scale;
+            }
+        });
+    }
+}
+
+fn gather(elements: &Elements, element: usize, row: &mut [u32]) {
+    let normal = elements.normal(element);
+    if normal == Vec3::ZERO {
+        return;
+    }
+    let corners = *elements.kernel().corners(element as u32);
+    let size = (corners[1] - corners[0]).length().max((corners[2] - corners[0]).length());
+    let scale = corners[0].abs().max_element().max(size);
+    let lift = normal * (1e-5 * scale + 1e-3 * size);
+    let turn = Quat::from_rotation_arc(Vec3::Z, normal);
+    let shift: [f32; 4] = std::array::from_fn(|d| hashed(element as u32, d as u32));
+    for (i, met) in row.iter_mut().enumerate() {
+        let s: [f32; 4] = std::array::from_fn(|d| (shift[d] + (i as f32 + 0.5) * KRONECKER[d]).fract());
+        let (radius, angle) = (s[0].sqrt(), TAU * s[1]);
+        let local = Vec3::new(radius * angle.cos(), radius * angle.sin(), (1.0 - s[0]).max(0.0).sqrt());
+        let (mut u, mut v) = (s[2], s[3]);
+        if u + v > 1.0 {
+            (u, v) = (1.0 - u, 1.0 - v);
+        }
+        let start = corners[0] + (corners[1] - corners[0]) * u + (corners[2] - corners[0]) * v + lift;
+        let direction = turn * local;
+        if let Some(hit) = elements.kernel().nearest(start, direction, 0.0, f32::INFINITY)
+            && elements.normal(hit.triangle as usize).dot(direction) < 0.0
+        {
+            *met = hit.triangle;
+        }
+    }
+}
+
+/// Fractional parts of the powers of 1 / 1.167304, root of x^5 = x + 1: an even spread in four dimensions.
+const KRONECKER: [f32; 4] = [0.856_674_9, 0.733_891_9, 0.628_706_7, 0.538_597_3];
+
+/// A number in 0..1 that depends on both arguments without visible pattern (Wellons, "lowbias32").
+fn hashed(a: u32, b: u32) -> f32 {
+    let mut x = a.wrapping_mul(4).wrapping_add(b).wrapping_add(0x9e37_79b9);
+    x = (x ^ (x >> 16)).wrapping_mul(0x7feb_352d);
+    x = (x ^ (x >> 15)).wrapping_mul(0x846c_a68b);
+    x ^= x >> 16;
+    (x >> 8) as f32 / (1u32 << 24) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Mesh;
+
+    /// A closed sphere seen from inside.
+    fn furnace() -> Elements {
+        let n = 24u32;
+        let mut mesh = Mesh::default();
+        for i in 0..=n {
+            for j in 0..2 * n {
+                let (t, p) = (i as f32 / n as f32 * TAU / 2.0, j as f32 / n as f32 * TAU / 2.0);
+                mesh.positions.push(Vec3::new(t.sin() * p.cos(), t.sin() * p.sin(), t.cos()));
+            }
+        }
+        for i in 0..n {
+            for j in 0..2 * n {
+                let at = |i: u32, j: u32| i * 2 * n + j % (2 * n);
+                mesh.triangles.push([at(i, j), at(i, j + 1), at(i + 1, j)]);
+                mesh.triangles.push([at(i + 1, j), at(i, j + 1), at(i + 1, j + 1)]);
+            }
+        }
+        Elements::build(&[&mesh], &[10.0])
+    }
+
+    #[test]
+    fn in_a_furnace_bounces_add_up_to_the_geometric_series() {
+        let elements = furnace();
+        let transport = Transport::trace(&elements, 64, &Progress::silent()).unwrap();
+        let (rho, direct) = (0.6f32, 2.0f32);
+        let mut bounced = vec![0.0f32; elements.len()];
+        let mut next = bounced.clone();
+        for _ in 0..40 {
+            let exitance: Vec<f32> = bounced.iter().map(|b| rho * (direct + b)).collect();
+            transport.gather(&exitance, 1, &mut next);
+            std::mem::swap(&mut bounced, &mut next);
+        }
+        let live: Vec<f32> =
+            (0..elements.len()).filter(|&e| elements.area(e) > 1e-6).map(|e| bounced[e]).collect();
+        let mean = live.iter().sum::<f32>() / live.len() as f32;
+        let want = direct * rho / (1.0 - rho);
+        assert!((mean / want - 1.0).abs() < 0.01, "{mean} for {want}");
+    }
+
+    #[test]
+    fn two_facing_plates_exchange_by_their_form_factor() {
+        // Two unit squares one apart: F = 0.19982 (Hottel's tables, closed form in Howell's catalogue C-11).
+        let plate = |z: f32, up: bool| {
+            let p = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[x, y]| Vec3::new(x, y, z));
+            Mesh {
+                positions: p.to_vec(),
+                triangles: if up { vec![[0, 1, 2], [0, 2, 3]] } else { vec![[0, 2, 1], [0, 3, 2]] },
+                ..Mesh::default()
+            }
+        };
+        let (low, high) = (plate(0.0, true), plate(1.0, false));
+        let elements = Elements::build(&[&low, &high], &[0.1, 0.1]);
+        let transport = Transport::trace(&elements, 64, &Progress::silent()).unwrap();
+        let exitance: Vec<f32> = (0..elements.len()).map(|e| elements.mesh_of(e) as f32).collect();
+        let mut got = vec![0.0; elements.len()];
+        transport.gather(&exitance, 1, &mut got);
+        let factor: f32 = (0..elements.len())
+            .filter(|&e| elements.mesh_of(e) == 0)
+            .map(|e| got[e] * elements.area(e))
+            .sum();
+        assert!((factor - 0.19982).abs() < 0.002, "{factor}");
+    }
+}

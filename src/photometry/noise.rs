@@ -1,0 +1,142 @@
+//! Sensor noise: variance = gain * signal + floor, in DN (shot noise and read noise; EMVA 1288).
+
+use crate::photometry::Mosaic;
+use serde::{Deserialize, Serialize};
+
+/// Sites per tile edge when measuring; even, so that every tile holds whole filter cells.
+const TILE: usize = 16;
+
+/// Variance of one sensor value as a function of its signal.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct NoiseModel {
+    /// Variance per DN of signal (the inverse of electrons per DN), DN.
+    pub gain: f32,
+    /// Variance without light, DN^2.
+    pub floor: f32,
+}
+
+/// Too little to measure noise from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "noise could not be measured: no evenly lit, unclipped part in the frames; shoot a plain card in focus or slightly out of it"
+)]
+pub struct NoNoise;
+
+impl NoiseModel {
+    /// Variance in DN^2 of a site at `signal` DN above black.
+    pub fn variance(&self, signal: f32) -> f32 {
+        self.gain * signal.max(0.0) + self.floor
+    }
+
+    /// Measures the model on frames of something plain (a card): in every small tile, same-colour neighbours
+    /// differ by noise alone once the tile's gradient is taken out by second differences
+    /// (x0 - 2 x1 + x2 has six times the variance of one site). Weighted straight line over all tiles.
+    pub fn measure(frames: &[Mosaic]) -> Result<Self, NoNoise> {
+        let mut points: Vec<(f64, f64)> = vec![];
+        for frame in frames {
+            for y in (0..frame.dn.height().saturating_sub(TILE)).step_by(TILE) {
+                for x in (0..frame.dn.width().saturating_sub(TILE)).step_by(TILE) {
+                    points.extend(tile(frame, x, y));
+                }
+            }
+        }
+        fit(&points).ok_or(NoNoise)
+    }
+}
+
+/// Mean signal and variance of each of the four filter positions of one tile.
+fn tile(frame: &Mosaic, x0: usize, y0: usize) -> Vec<(f64, f64)> {
+    let mut out = vec![];
+    for (py, px) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+        let black = f64::from(frame.levels.black[py][px]);
+        let top = black + 0.9 * (f64::from(frame.levels.saturation[py][px]) - black);
+        let (mut sum, mut squares, mut n, mut count) = (0.0, 0.0, 0, 0);
+        let mut clipped = false;
+        for y in (y0 + py..y0 + TILE).step_by(2) {
+            let row: Vec<f64> =
+                (x0 + px..x0 + TILE).step_by(2).map(|x| f64::from(*frame.dn.at(x, y))).collect();
+            clipped |= row.iter().any(|&v| v > top);
+            sum += row.iter().map(|v| v - black).sum::<f64>();
+            n += row.len();
+            for w in row.windows(3) {
+                squares += (w[0] - 2.0 * w[1] + w[2]).powi(2) / 6.0;
+                count += 1;
+            }
+        }
+        if !clipped && count > 0 {
+            out.push((sum / n as f64, squares / f64::from(count)));
+        }
+    }
+    out
+}
+
+/// Line variance = gain * signal + floor. The spread of a measured variance grows with itself, so each point
+/// weighs by the inverse square of the present model; tiles with texture (far above the line) drop out.
+fn fit(points: &[(f64, f64)]) -> Option<NoiseModel> {
+    if points.len() < 8 {
+        return None;
+    }
+    let mut variances: Vec<f64> = points.iter().map(|p| p.1).collect();
+    variances.sort_by(f64::total_cmp);
+    let (mut gain, mut floor) = (0.0, variances[variances.len() / 2].max(1e-3));
+    for round in 0..12 {
+        let (mut s, mut sx, mut sxx, mut sy, mut sxy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for &(x, y) in points {
+            let model: f64 = gain * x + floor;
+            if round > 3 && y > 2.0 * model {
+                continue;
+            }
+            let w = 1.0 / (model * model);
+            s += w;
+            sx += w * x;
+            sxx += w * x * x;
+            sy += w * y;
+            sxy += w * x * y;
+        }
+        let determinant = s * sxx - sx * sx;
+        if !(determinant > 1e-12 * s * sxx) {
+            // One signal level only: all of it is shot noise, as far as can be told.
+            let mean = sx / s;
+            return (mean > 0.0).then(|| NoiseModel { gain: (sy / s / mean) as f32, floor: 0.25 });
+        }
+        gain = ((s * sxy - sx * sy) / determinant).max(0.0);
+        // A quarter DN^2 is the least: rounding to whole DN alone leaves a twelfth.
+        floor = ((sxx * sy - sx * sxy) / determinant).max(0.25);
+        if gain == 0.0 {
+            floor = (sy / s).max(0.25);
+        }
+    }
+    (gain.is_finite() && floor.is_finite()).then_some(NoiseModel { gain: gain as f32, floor: floor as f32 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::photometry::isolate::tests::mosaic;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, Normal};
+
+    #[test]
+    fn gain_and_floor_of_a_simulated_sensor_come_back() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(7);
+        let (gain, floor) = (0.3, 2.4);
+        let frames: Vec<Mosaic> = [300.0, 1500.0, 6000.0]
+            .into_iter()
+            .map(|level| {
+                mosaic(256, 192, |x, _| {
+                    let signal: f64 = level * (1.0 + x as f64 / 256.0);
+                    let sd = (gain * signal + floor).sqrt();
+                    (2001.5 + Normal::new(signal, sd).unwrap().sample(&mut rng)).round() as u16
+                })
+            })
+            .collect();
+        let model = NoiseModel::measure(&frames).unwrap();
+        assert!((model.gain - 0.3).abs() < 0.01, "{model:?}");
+        assert!((model.floor - 2.4).abs() < 6.0, "{model:?}");
+    }
+
+    #[test]
+    fn a_blown_frame_says_that_nothing_can_be_measured() {
+        assert_eq!(NoiseModel::measure(&[mosaic(64, 64, |_, _| 15000)]), Err(NoNoise));
+    }
+}
