@@ -1,6 +1,7 @@
 //! The rig: what stands in the photographer's room. Synchronous, `Send` driver traits; one driver a file.
 //! [`crate::capture`] alone owns a rig.
 
+pub mod flash;
 mod traits;
 
 pub use traits::{Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, ShotFile};

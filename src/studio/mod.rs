@@ -5,6 +5,8 @@
 //! X-sync contact. What the camera sees comes from a path tracer that shares only the ray kernel with
 //! [`crate::light`].
 
+mod board;
 mod wires;
 
+pub use board::{Board, BoardOptions};
 pub use wires::{Exposure, SyncContact, View};

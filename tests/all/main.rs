@@ -1,5 +1,7 @@
 //! The one integration-test binary; a module a subject.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test's helpers may fail as its body may")]
 
+mod flash;
 mod floors;
 mod raw;
 mod session;

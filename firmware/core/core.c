@@ -1,0 +1,423 @@
+#include "core.h"
+
+#include <string.h>
+
+/* True once span_us have passed since then_us; right as long as it is asked within 2^32 us of then. */
+static bool passed(uint32_t now_us, uint32_t then_us, uint32_t span_us)
+{
+    return now_us - then_us >= span_us;
+}
+
+static void send(struct core *core, const struct line_writer *line)
+{
+    for (uint8_t i = 0; i < line->length; i++) {
+        core->hal->tx(core->hal->ctx, (uint8_t)line->text[i]);
+    }
+    core->hal->tx(core->hal->ctx, '\n');
+}
+
+static void start_event(struct core *core, struct line_writer *line, const char *name)
+{
+    core->events++;
+    line_start(line);
+    line_text(line, "!");
+    line_uint(line, core->events);
+    line_text(line, " ");
+    line_text(line, name);
+}
+
+static void send_event(struct core *core, struct line_writer *line)
+{
+    line_seal(line);
+    send(core, line);
+}
+
+static void tell_disarm(struct core *core, const char *why)
+{
+    struct line_writer line;
+    start_event(core, &line, "disarm");
+    line_word(&line, "why", why);
+    send_event(core, &line);
+}
+
+void core_init(struct core *core, const struct core_hal *hal, const struct core_config *cfg, uint16_t boot,
+               uint8_t rst, uint32_t now_us)
+{
+    memset(core, 0, sizeof *core);
+    core->hal = hal;
+    core->cfg = *cfg;
+    core->boot = boot;
+    core->rst = rst;
+    core->heard_at = now_us;
+    hal->trigger(hal->ctx, false);
+    struct line_writer line;
+    start_event(core, &line, "boot");
+    line_pair(&line, "boot", boot);
+    line_pair(&line, "rst", rst);
+    send_event(core, &line);
+}
+
+size_t core_size(void)
+{
+    return sizeof(struct core);
+}
+
+/* ---- light and edges: interrupts ---- */
+
+/* Opens a shot. `measuring` is set before `sampling`, and both last, so that the other side never sees half. */
+static void begin_shot(struct core *core, uint32_t now_us, bool fired, bool gated, uint32_t tag)
+{
+    struct core_shot *shot = &core->shot;
+    shot->tag = tag;
+    shot->t = now_us;
+    shot->pk = shot->w = shot->c = 0;
+    shot->bn = 0;
+    shot->fired = fired;
+    shot->gated = gated;
+    shot->b = (uint16_t)((core->dark + 2048u) / 4096u);
+    core->gate_dark = (uint16_t)(core->dark / 65536u + CORE_LIGHT_THRESHOLD);
+    core->sum = 0;
+    core->samples = 0;
+    core->samples_wanted = (uint16_t)(core->cfg.win_us / CORE_SAMPLE_US);
+    core->locked_at = now_us;
+    core->locked = 1;
+    core->measuring = 1;
+    core->sampling = 1;
+}
+
+static void raise_trigger(struct core *core, uint32_t now_us)
+{
+    core->hal->trigger(core->hal->ctx, true);
+    core->trigger_at = now_us;
+    core->trigger_high = 1;
+}
+
+bool core_sync_edge(struct core *core, uint32_t now_us)
+{
+    /* An open gate implies not locked: arming waits for the lock, and whatever locks closes the gate. */
+    if (core->gate != 0) {
+        raise_trigger(core, now_us);
+        core->gate = 0;
+        core->used = 1;
+        begin_shot(core, now_us, false, true, core->arm_tag);
+        return true;
+    }
+    if (core->locked != 0) {
+        if (core->measuring != 0 && core->shot.bn < UINT8_MAX) {
+            core->shot.bn++;
+        }
+        return false;
+    }
+    begin_shot(core, now_us, false, false, 0);
+    return false;
+}
+
+void core_light_sample(struct core *core, uint16_t counts)
+{
+    if (core->sampling == 0) {
+        /* The tail of a pulse is not darkness, so the dark level rests until the lock is over. */
+        if (core->locked == 0) {
+            core->dark = core->dark == 0 ? (uint32_t)counts * 65536u
+                                         : core->dark - core->dark / 256u + (uint32_t)counts * 256u;
+        }
+        return;
+    }
+    struct core_shot *shot = &core->shot;
+    core->sum += counts;
+    core->samples++;
+    if (counts > shot->pk) {
+        shot->pk = counts;
+    }
+    if (counts > core->gate_dark) {
+        shot->w++;
+    }
+    if (counts >= CORE_ADC_FULL) {
+        shot->c++;
+    }
+    if (core->samples >= core->samples_wanted) {
+        core->sampling = 0;
+    }
+}
+
+/* ---- main loop ---- */
+
+void core_shot_fields(struct line_writer *line, const struct core_shot *shot)
+{
+    line_pair(line, "n", shot->n);
+    line_word(line, "src", shot->fired ? "fire" : "sync");
+    line_pair(line, "g", shot->gated ? 1 : 0);
+    line_pair(line, "tag", shot->tag);
+    line_pair(line, "t", shot->t);
+    line_pair(line, "e", shot->e);
+    line_pair(line, "pk", shot->pk);
+    line_pair(line, "b", shot->b);
+    line_pair(line, "w", shot->w);
+    line_pair(line, "c", shot->c);
+    line_pair(line, "bn", shot->bn);
+}
+
+static void report_shot(struct core *core)
+{
+    core->sampling = 0;
+    struct core_shot *shot = &core->shot;
+    const uint32_t dark = ((uint32_t)core->samples * shot->b + 8u) / 16u;
+    shot->e = core->sum > dark ? core->sum - dark : 0;
+    const uint16_t level = (uint16_t)(shot->b / 16u);
+    shot->pk = shot->pk > level ? (uint16_t)(shot->pk - level) : 0;
+    shot->n = ++core->shots;
+    core->log[shot->n % CORE_LOG_SIZE] = *shot;
+    core->measuring = 0;
+
+    struct line_writer line;
+    start_event(core, &line, "shot");
+    core_shot_fields(&line, &core->log[core->shots % CORE_LOG_SIZE]);
+    send_event(core, &line);
+}
+
+bool core_charged(const struct core *core)
+{
+    return core->cfg.rdy == 0 || core->hal->charged(core->hal->ctx);
+}
+
+uint32_t core_wait_ms(const struct core *core, uint32_t now_us)
+{
+    uint32_t wait_us = 0;
+    if (core->recycling) {
+        const uint32_t span = (uint32_t)core->cfg.rec_ms * 1000u;
+        const uint32_t gone = now_us - core->triggered_at;
+        wait_us = gone < span ? span - gone : 0;
+    }
+    if (core->locked != 0) {
+        const uint32_t span = (uint32_t)core->cfg.lock_ms * 1000u;
+        const uint32_t gone = now_us - core->locked_at;
+        const uint32_t lock_us = gone < span ? span - gone : 1;
+        wait_us = lock_us > wait_us ? lock_us : wait_us;
+    }
+    return (wait_us + 999u) / 1000u;
+}
+
+/* Closes the gate and forgets a delayed fire. Whatever the interrupt did before the gate closed stands. */
+void core_safe(struct core *core)
+{
+    core->gate = 0;
+    core->fire_pending = false;
+    if (core->used == 0) {
+        core->armed = false;
+    }
+}
+
+static void note_trigger(struct core *core, uint32_t at_us)
+{
+    core->triggered_at = at_us;
+    core->recycling = true;
+    core->recent = true;
+}
+
+static void fire_now(struct core *core, uint32_t now_us)
+{
+    /* From here on an edge is a bounce of this shot, unless one came first: then the fire waits its turn. */
+    core->locked_at = now_us;
+    core->locked = 1;
+    if (core->measuring != 0) {
+        return;
+    }
+    raise_trigger(core, now_us);
+    begin_shot(core, now_us, true, true, core->fire_tag);
+    core->fire_pending = false;
+    note_trigger(core, now_us);
+}
+
+static void watch_contact(struct core *core, uint32_t now_us)
+{
+    if (!core->hal->sync_closed(core->hal->ctx)) {
+        core->contact_closed = core->stuck_told = false;
+        return;
+    }
+    if (!core->contact_closed) {
+        core->contact_closed = true;
+        core->closed_since = now_us;
+    }
+    if (!core->stuck_told && passed(now_us, core->closed_since, CORE_STUCK_MS * 1000ul)) {
+        core->stuck_told = true;
+        struct line_writer line;
+        start_event(core, &line, "stuck");
+        send_event(core, &line);
+    }
+}
+
+/* A shot is reported when its lock time is over; the lock itself goes on while the contact stays closed,
+ * because it bounces when it opens, too. */
+static void end_lock(struct core *core, uint32_t now_us)
+{
+    const uint32_t lock_us = (uint32_t)core->cfg.lock_ms * 1000u;
+    if (core->measuring != 0 && passed(now_us, core->shot.t, lock_us)) {
+        report_shot(core);
+    }
+    if (core->locked == 0) {
+        return;
+    }
+    if (core->contact_closed) {
+        core->locked_at = now_us;
+    } else if (passed(now_us, core->locked_at, lock_us)) {
+        core->locked = 0;
+    }
+}
+
+void core_poll(struct core *core, uint32_t now_us)
+{
+    if (core->trigger_high != 0 && passed(now_us, core->trigger_at, core->cfg.pulse_us)) {
+        core->hal->trigger(core->hal->ctx, false);
+        core->trigger_high = 0;
+    }
+    const char *why = NULL;
+    if ((core->armed || core->fire_pending) && passed(now_us, core->heard_at, core->cfg.sil_ms * 1000ul)) {
+        why = "silence";
+    } else if (core->armed && passed(now_us, core->armed_at, core->arm_ttl_us)) {
+        why = "ttl";
+    }
+    if (why != NULL) {
+        core_safe(core);
+        /* The interrupt may have used the gate just before it was closed; then that is what happened. */
+        if (core->used == 0) {
+            tell_disarm(core, why);
+        }
+    }
+    if (core->used != 0) {
+        core->used = 0;
+        core->armed = false;
+        note_trigger(core, core->trigger_at);
+        tell_disarm(core, "used");
+    }
+    watch_contact(core, now_us);
+    end_lock(core, now_us);
+    if (core->fire_pending && passed(now_us, core->fire_from, core->fire_delay_us) && core->locked == 0) {
+        fire_now(core, now_us);
+    }
+    if (core->recent && passed(now_us, core->triggered_at, CORE_TRIGGER_GAP_MS * 1000ul)) {
+        core->recent = false;
+    }
+    if (core->recycling && passed(now_us, core->triggered_at, core->cfg.rec_ms * 1000ul) && core_charged(core)) {
+        core->recycling = false;
+        struct line_writer line;
+        start_event(core, &line, "ready");
+        send_event(core, &line);
+    }
+}
+
+/* ---- requests ---- */
+
+static const char *error_word(enum line_error error, bool greeted)
+{
+    switch (error) {
+    case LINE_CRC: return "crc";
+    case LINE_SYNTAX: return "syntax";
+    case LINE_LONG: return "long";
+    case LINE_VERB: return "verb";
+    case LINE_ARG: return "arg";
+    case LINE_SEQ: return "seq";
+    case LINE_HELLO: return greeted ? "strict" : "hello";
+    case LINE_NOTREADY: return "notready";
+    case LINE_BUSY: return "busy";
+    case LINE_RATE: return "rate";
+    case LINE_GONE: return "gone";
+    case LINE_OK: break;
+    }
+    return "ok";
+}
+
+static void start_reply(struct line_writer *line, uint8_t seq)
+{
+    line_start(line);
+    line_text(line, "#");
+    line_uint(line, seq);
+}
+
+static void refuse(struct line_writer *line, uint8_t seq, enum line_error error, bool greeted)
+{
+    start_reply(line, seq);
+    line_text(line, " err ");
+    line_uint(line, error);
+    line_text(line, " ");
+    line_text(line, error_word(error, greeted));
+    line_seal(line);
+}
+
+static void answer(struct core *core, struct line_request *request, uint32_t now_us, struct line_writer *line)
+{
+    start_reply(line, request->seq);
+    line_text(line, " ok");
+    const enum line_error error = core_dispatch(core, request, now_us, line);
+    if (error == LINE_OK) {
+        line_seal(line);
+    } else {
+        refuse(line, request->seq, error, core->greeted);
+    }
+}
+
+static void take_line(struct core *core, uint32_t now_us)
+{
+    struct line_request request;
+    const enum line_error error = line_parse(core->line, core->line_length, &request);
+    struct line_writer line;
+    if (error != LINE_OK && request.seq == 0) {
+        refuse(&line, 0, error, core->greeted);
+        send(core, &line);
+        return;
+    }
+    if (request.seq == 0) {
+        if (core->strict) {
+            refuse(&line, 0, LINE_HELLO, true);
+        } else {
+            core->heard_at = now_us;
+            answer(core, &request, now_us, &line);
+        }
+        send(core, &line);
+        return;
+    }
+    core->heard_at = now_us;
+    /* hello starts a conversation and changes nothing when repeated, so it is carried out every time: a new
+     * host must never get the answer that its predecessor had, nor leave the gate as he left it. */
+    const bool hello = error == LINE_OK && strcmp(request.verb, "hello") == 0;
+    if (request.seq == core->last_seq && !hello) {
+        if (request.crc == core->last_crc) {
+            send(core, &core->reply);
+        } else {
+            refuse(&line, request.seq, LINE_SEQ, core->greeted);
+            send(core, &line);
+        }
+        return;
+    }
+    core->last_seq = request.seq;
+    core->last_crc = request.crc;
+    if (error == LINE_OK) {
+        answer(core, &request, now_us, &core->reply);
+    } else {
+        refuse(&core->reply, request.seq, error, core->greeted);
+    }
+    send(core, &core->reply);
+}
+
+void core_rx(struct core *core, uint8_t byte, uint32_t now_us)
+{
+    if (byte == '\r') {
+        return;
+    }
+    if (byte != '\n') {
+        if (core->line_length < LINE_REQUEST_MAX) {
+            core->line[core->line_length++] = (char)byte;
+        } else {
+            core->line_too_long = true;
+        }
+        return;
+    }
+    core_poll(core, now_us); /* so that no request meets a gate whose time is over */
+    if (core->line_too_long) {
+        struct line_writer line;
+        refuse(&line, 0, LINE_LONG, core->greeted);
+        send(core, &line);
+    } else if (core->line_length > 0) {
+        take_line(core, now_us);
+    }
+    core->line_length = 0;
+    core->line_too_long = false;
+}

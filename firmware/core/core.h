@@ -1,0 +1,124 @@
+/* The flash controller's logic: who may let the sync contact through to the flash, when, and what light came.
+ * No registers, no heap, no clock of its own: the platform passes the time in microseconds (modulo 2^32) to
+ * every call and gives its pins as functions. ../PROTOCOL.md is the spec of what is said over the wire.
+ *
+ * Contexts. core_sync_edge and core_light_sample may run in interrupts that do not nest; all else runs in the
+ * main loop. Nothing is locked: each field that both touch is a single byte, or is written by one side only
+ * while such a byte tells the other to keep off.
+ *
+ * Duties of the platform: call core_poll at least once a millisecond (it ends the trigger pulse and closes the
+ * gate when its time is over), core_rx for every byte, core_sync_edge when the contact closes,
+ * core_light_sample every CORE_SAMPLE_US. */
+#ifndef UNLIT_CORE_H
+#define UNLIT_CORE_H
+
+#include "line.h"
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+enum {
+    CORE_SAMPLE_US = 13,       /* one conversion of the ATmega328P's ADC at 1 MHz */
+    CORE_LOG_SIZE = 16,        /* shots that `get` still knows */
+    CORE_LIGHT_THRESHOLD = 8,  /* counts above dark that are light */
+    CORE_ADC_FULL = 1023,      /* a sample of this value is clipped */
+    CORE_TRIGGER_GAP_MS = 50,  /* no flash takes more than 20 triggers a second */
+    CORE_STUCK_MS = 2000       /* a contact closed for longer is stuck */
+};
+
+struct core_hal {
+    void *ctx;
+    void (*tx)(void *ctx, uint8_t byte);
+    void (*trigger)(void *ctx, bool high);
+    uint16_t (*adc)(void *ctx, uint8_t channel);
+    bool (*sync_closed)(void *ctx); /* level of the contact, only to see it stuck */
+    bool (*charged)(void *ctx);     /* the flash's ready output, asked only if cfg rdy=1 */
+    const char *mcu;                /* lower case, digits */
+    uint8_t adc_channels;
+};
+
+struct core_config {
+    uint16_t sil_ms;   /* silence of the host after which the board goes safe */
+    uint16_t pulse_us; /* length of the trigger pulse */
+    uint16_t lock_ms;  /* after an edge, further ones are bounce */
+    uint16_t win_us;   /* how long light is gathered after an edge; not longer than lock */
+    uint16_t rec_ms;   /* recycle time of the flash */
+    uint8_t rdy;       /* 1: the ready input must be high too */
+};
+
+struct core_shot {
+    uint32_t n;   /* running number, from 1 */
+    uint32_t tag; /* given with arm or fire; 0 for a sync that was not gated */
+    uint32_t t;   /* us, when the contact closed or the trigger rose */
+    uint32_t e;   /* light above dark, counts summed over the window */
+    uint16_t pk;  /* highest sample above dark, counts */
+    uint16_t b;   /* dark level, sixteenths of a count */
+    uint16_t w;   /* samples that were light */
+    uint16_t c;   /* samples that were clipped */
+    uint8_t bn;   /* bounces swallowed */
+    bool fired;   /* src: fire command, else sync contact */
+    bool gated;   /* g: the trigger was raised */
+};
+
+struct core {
+    volatile uint8_t gate; /* first byte, so that an interrupt can test it in its first instruction */
+    volatile uint8_t locked;
+    volatile uint8_t measuring; /* `shot` belongs to the interrupts until core_poll reports it */
+    volatile uint8_t sampling;
+    volatile uint8_t used; /* the interrupt used the gate; core_poll has yet to say so */
+    volatile uint8_t trigger_high;
+
+    const struct core_hal *hal;
+    struct core_config cfg;
+    uint16_t boot;
+    uint8_t rst;
+
+    /* Written by interrupts. */
+    struct core_shot shot;
+    uint32_t locked_at, trigger_at;
+    uint32_t sum;
+    uint16_t samples, samples_wanted;
+    uint16_t gate_dark; /* dark level in counts + threshold, frozen for the window */
+    uint32_t dark;      /* running mean over some 256 dark samples, counts * 65536; 0 before the first */
+
+    /* Main loop only. */
+    uint32_t arm_tag, armed_at, arm_ttl_us;
+    uint32_t fire_tag, fire_from, fire_delay_us;
+    uint32_t heard_at, triggered_at, closed_since;
+    uint32_t shots;
+    uint16_t events;
+    bool armed, fire_pending, recycling, recent, greeted, strict, contact_closed, stuck_told;
+    struct core_shot log[CORE_LOG_SIZE];
+
+    char line[LINE_REQUEST_MAX + 1];
+    uint8_t line_length;
+    bool line_too_long;
+    uint8_t last_seq; /* 0: none */
+    uint16_t last_crc;
+    struct line_writer reply; /* the last numbered one, kept for replay */
+};
+
+/* Starts the board, gate closed, and sends the boot event. boot differs from the boot before; rst is the
+ * platform's word for the cause of the reset. hal must outlive the core. */
+void core_init(struct core *core, const struct core_hal *hal, const struct core_config *cfg, uint16_t boot,
+               uint8_t rst, uint32_t now_us);
+void core_poll(struct core *core, uint32_t now_us);
+void core_rx(struct core *core, uint8_t byte, uint32_t now_us);
+/* The sync contact closed. True if the trigger was raised, which has then happened already. */
+bool core_sync_edge(struct core *core, uint32_t now_us);
+/* One photodiode sample, counts 0..1023. */
+void core_light_sample(struct core *core, uint16_t counts);
+/* sizeof(struct core), for those who cannot see it. */
+size_t core_size(void);
+
+/* Between the files of the core. */
+enum line_error core_dispatch(struct core *core, struct line_request *request, uint32_t now_us,
+                              struct line_writer *reply);
+void core_safe(struct core *core);
+/* ms until the flash may be triggered again, as far as time tells. */
+uint32_t core_wait_ms(const struct core *core, uint32_t now_us);
+bool core_charged(const struct core *core);
+void core_shot_fields(struct line_writer *line, const struct core_shot *shot);
+
+#endif
