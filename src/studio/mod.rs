@@ -6,6 +6,7 @@
 //! [`crate::light`].
 
 mod board;
+pub mod camera;
 mod wires;
 
 pub use board::{Board, BoardOptions};

@@ -1,0 +1,274 @@
+//! The state of the simulated body: properties, frames that wait in its memory, events not yet fetched.
+//!
+//! The body stands in M with manual focus, single drive and RAW alone, as the rig needs it; shutter, aperture
+//! and sensitivity can be set. Frames go to the computer (there is no card).
+
+use super::datasets::{self, u32s};
+use super::dials;
+use crate::studio::Exposure;
+use std::collections::BTreeMap;
+
+/// Property codes (Canon's, as in libgphoto2's ptp.h).
+pub(super) mod prop {
+    pub(crate) const APERTURE: u32 = 0xd101;
+    pub(crate) const SHUTTER: u32 = 0xd102;
+    pub(crate) const ISO: u32 = 0xd103;
+    pub(crate) const MODE: u32 = 0xd105;
+    pub(crate) const DRIVE: u32 = 0xd106;
+    pub(crate) const FOCUS: u32 = 0xd108;
+    pub(crate) const WHITE_BALANCE: u32 = 0xd109;
+    pub(crate) const BATTERY: u32 = 0xd111;
+    pub(crate) const POWER_OFF: u32 = 0xd114;
+    pub(crate) const SHOTS_LEFT: u32 = 0xd11b;
+    pub(crate) const TARGET: u32 = 0xd11c;
+    pub(crate) const FORMAT: u32 = 0xd120;
+    pub(crate) const FORMAT_CF: u32 = 0xd121;
+    pub(crate) const FORMAT_SD: u32 = 0xd122;
+    pub(crate) const MODE_DIAL: u32 = 0xd138;
+    pub(crate) const NOISE_REDUCTION: u32 = 0xd178;
+    pub(crate) const SERIAL: u32 = 0xd1af;
+    pub(crate) const EVF_OUTPUT: u32 = 0xd1b0;
+    pub(crate) const EVF_MODE: u32 = 0xd1b1;
+    pub(crate) const LIGHTING_OPTIMIZER: u32 = 0xd1c1;
+}
+
+/// Frames that the body's memory takes.
+const SHOTS_LEFT: u32 = 99;
+/// `EVF_OUTPUT` bit that sends the viewfinder to the computer.
+const EVF_TO_COMPUTER: u32 = 2;
+
+/// A property's value.
+#[derive(Clone)]
+enum Value {
+    /// A number and the values it may take; an empty list: only the one it has.
+    Number(u32, Vec<u32>),
+    /// Text that only the body writes.
+    Text(&'static str),
+    /// ImageFormat's own encoding of RAW alone.
+    RawOnly,
+}
+
+/// ImageFormat for RAW alone: one image of (16, type RAW, size L, compression RAW).
+const RAW_ONLY: [u32; 5] = [1, 0x10, 6, 0, 4];
+
+/// A frame in the body's memory.
+pub(super) struct Frame {
+    /// The whole file.
+    pub(super) bytes: Vec<u8>,
+}
+
+/// Why a property was not set.
+#[derive(Debug, PartialEq)]
+pub(super) enum SetError {
+    /// There is no such property, or only the body writes it.
+    Unknown,
+    /// The value is not on its list.
+    Value,
+}
+
+/// The body.
+pub(super) struct Body {
+    properties: BTreeMap<u32, Value>,
+    frames: BTreeMap<u32, Frame>,
+    events: Vec<u8>,
+    next_object: u32,
+    /// A frame is being exposed.
+    pub(super) exposing: bool,
+    /// The body says that it has no room for frames.
+    pub(super) full: bool,
+}
+
+impl Body {
+    /// 1/125 s, f/11, ISO 100.
+    pub(super) fn new() -> Self {
+        let dial = |code, positions: &[dials::Position]| {
+            Value::Number(code, positions.iter().map(|(code, _)| *code).collect())
+        };
+        let fixed = |code| Value::Number(code, vec![code]);
+        let properties = BTreeMap::from([
+            (prop::APERTURE, dial(0x40, dials::APERTURE)),
+            (prop::SHUTTER, dial(0x70, dials::SHUTTER)),
+            (prop::ISO, dial(0x48, dials::ISO)),
+            (prop::MODE, fixed(3)),
+            (prop::MODE_DIAL, fixed(3)),
+            (prop::DRIVE, fixed(0)),
+            (prop::FOCUS, fixed(3)),
+            (prop::WHITE_BALANCE, Value::Number(1, vec![1, 3, 5])),
+            (prop::BATTERY, fixed(2)),
+            (prop::POWER_OFF, Value::Number(0, vec![0, 60])),
+            (prop::SHOTS_LEFT, fixed(SHOTS_LEFT)),
+            (prop::TARGET, Value::Number(4, vec![1, 4])),
+            (prop::FORMAT, Value::RawOnly),
+            (prop::FORMAT_CF, Value::RawOnly),
+            (prop::FORMAT_SD, Value::RawOnly),
+            (prop::NOISE_REDUCTION, fixed(0)),
+            (prop::SERIAL, Value::Text(datasets::SERIAL)),
+            (prop::EVF_OUTPUT, Value::Number(0, vec![0, 1, 2, 3])),
+            (prop::EVF_MODE, Value::Number(1, vec![0, 1])),
+            (prop::LIGHTING_OPTIMIZER, fixed(3)),
+        ]);
+        Self {
+            properties,
+            frames: BTreeMap::new(),
+            events: Vec::new(),
+            next_object: 1,
+            exposing: false,
+            full: false,
+        }
+    }
+
+    /// Codes of all properties.
+    pub(super) fn properties(&self) -> Vec<u32> {
+        self.properties.keys().copied().collect()
+    }
+
+    fn number(&self, property: u32) -> u32 {
+        match self.properties.get(&property) {
+            Some(Value::Number(..)) if property == prop::SHOTS_LEFT && self.full => 0,
+            Some(Value::Number(value, _)) => *value,
+            _ => 0,
+        }
+    }
+
+    /// Forgets a former client: frames nobody fetched, events nobody read.
+    pub(super) fn reset_client(&mut self) {
+        self.frames.clear();
+        self.events.clear();
+    }
+
+    /// Queues every property with its list, as a client that turns events on must be told.
+    pub(super) fn announce_all(&mut self) {
+        self.events.clear();
+        for property in self.properties() {
+            self.announce(property);
+            let list = match self.properties.get(&property) {
+                Some(Value::Number(_, list)) => datasets::available(property, list.len(), &u32s(list)),
+                Some(Value::RawOnly) => datasets::available(property, 1, &u32s(&RAW_ONLY)),
+                Some(Value::Text(_)) | None => continue,
+            };
+            self.events.extend(list);
+        }
+        self.events.extend(datasets::status(self.exposing));
+    }
+
+    /// Queues one property's value; an unknown one is passed over, as the real body does.
+    pub(super) fn announce(&mut self, property: u32) {
+        let record = match self.properties.get(&property) {
+            Some(Value::Number(..)) => datasets::value_changed(property, &u32s(&[self.number(property)])),
+            Some(Value::RawOnly) => datasets::value_changed(property, &u32s(&RAW_ONLY)),
+            Some(Value::Text(text)) => {
+                let mut bytes = text.as_bytes().to_vec();
+                bytes.resize((bytes.len() + 1).next_multiple_of(4), 0);
+                datasets::value_changed(property, &bytes)
+            }
+            None => return,
+        };
+        self.events.extend(record);
+    }
+
+    /// Sets a property from the client; the change is announced.
+    pub(super) fn set(&mut self, property: u32, value: u32) -> Result<(), SetError> {
+        let Some(Value::Number(now, list)) = self.properties.get_mut(&property) else {
+            return Err(SetError::Unknown);
+        };
+        // The library ends a session with a target that older bodies call the card.
+        if !list.contains(&value) && property != prop::TARGET {
+            return Err(SetError::Value);
+        }
+        *now = value;
+        self.announce(property);
+        Ok(())
+    }
+
+    /// The events since the last call, ended as the library needs it.
+    pub(super) fn take_events(&mut self) -> Vec<u8> {
+        let mut events = std::mem::take(&mut self.events);
+        events.extend(datasets::terminator());
+        events
+    }
+
+    /// Whether the viewfinder goes to the computer.
+    pub(super) fn live(&self) -> bool {
+        self.number(prop::EVF_OUTPUT) & EVF_TO_COMPUTER != 0
+    }
+
+    /// What the three dials show.
+    pub(super) fn exposure(&self) -> Option<Exposure> {
+        Some(Exposure {
+            shutter: dials::shutter(self.number(prop::SHUTTER))?,
+            aperture: dials::aperture(self.number(prop::APERTURE))?,
+            iso: dials::iso(self.number(prop::ISO))?,
+        })
+    }
+
+    /// The shutter opens.
+    pub(super) fn begin_exposure(&mut self) {
+        self.exposing = true;
+        self.events.extend(datasets::status(true));
+    }
+
+    /// The frame is read out: it waits for the computer. The body says that it is done only after it has
+    /// offered the frame, else the library would take "done" for the frame before.
+    pub(super) fn end_exposure(&mut self, bytes: Vec<u8>) {
+        let number = self.next_object;
+        self.next_object += 1;
+        let name = format!("IMG_{:04}.CR2", (number - 1) % 9999 + 1);
+        self.events.extend(datasets::transfer_requested(number, bytes.len() as u32, &name));
+        self.frames.insert(number, Frame { bytes });
+        self.finish_exposure();
+    }
+
+    /// The body is idle again.
+    pub(super) fn finish_exposure(&mut self) {
+        self.exposing = false;
+        self.events.extend(datasets::status(false));
+    }
+
+    /// A waiting frame.
+    pub(super) fn frame(&self, object: u32) -> Option<&Frame> {
+        self.frames.get(&object)
+    }
+
+    /// The computer has the frame; its memory is free again.
+    pub(super) fn forget(&mut self, object: u32) -> bool {
+        self.frames.remove(&object).is_some()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::units::{FNumber, Iso, Seconds};
+
+    #[test]
+    fn a_new_body_stands_at_a_125th_f_11_iso_100() {
+        let exposure = Body::new().exposure().unwrap();
+        assert_eq!(
+            exposure,
+            Exposure { shutter: Seconds(1.0 / 125.0), aperture: FNumber(11.0), iso: Iso(100.0) }
+        );
+    }
+
+    #[test]
+    fn only_what_is_on_a_dial_can_be_set() {
+        let mut body = Body::new();
+        assert_eq!(body.set(prop::SHUTTER, 0x71), Err(SetError::Value));
+        assert_eq!(body.set(prop::SERIAL, 1), Err(SetError::Unknown));
+        assert_eq!(body.set(0xd1ff, 1), Err(SetError::Unknown));
+        body.set(prop::SHUTTER, 0x68).unwrap();
+        assert_eq!(body.exposure().unwrap().shutter, Seconds(1.0 / 60.0));
+        assert_eq!(body.take_events()[..12], u32s(&[16, 0xc189, prop::SHUTTER])[..]);
+    }
+
+    #[test]
+    fn a_frame_is_offered_before_the_body_says_done() {
+        let mut body = Body::new();
+        body.begin_exposure();
+        body.take_events();
+        body.end_exposure(vec![7; 10]);
+        let events = body.take_events();
+        assert_eq!(events[4..8], 0xc186_u32.to_le_bytes());
+        assert_eq!(body.frame(1).unwrap().bytes, [7; 10]);
+        assert!(body.forget(1) && !body.forget(1));
+    }
+}
