@@ -9,7 +9,7 @@ use super::events::{Events, Topic};
 use super::place::{CalibrationShot, CardPlace, PairPlace, Place, PlaceError, name_of};
 use super::prompt::Prompter;
 use super::run::Run;
-use crate::pair::{PairRecord, Verdict, checks};
+use crate::pair::{Limits, PairRecord, Verdict};
 use crate::progress::{Cancelled, Progress};
 use crate::rig::{CameraError, FlashError};
 use crate::session::Session;
@@ -78,13 +78,13 @@ pub struct Engine {
     devices: Mutex<Devices>,
     prompter: Prompter,
     events: Events,
-    limits: checks::Limits,
+    limits: Limits,
 }
 
 impl Engine {
     /// An engine that comes by its devices through `source`, judges by `limits` and tells `events`.
     /// No device is opened before it is needed.
-    pub fn new(source: RigSource, limits: checks::Limits, events: Events) -> Self {
+    pub fn new(source: RigSource, limits: Limits, events: Events) -> Self {
         Self {
             bench: Mutex::new(Bench::new(source)),
             devices: Mutex::new(Devices::unknown()),

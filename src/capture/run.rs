@@ -6,7 +6,7 @@ use super::machine::{Effect, End, Event, Frame, State, step};
 use super::place::{Place, PlaceError, Shots};
 use super::prompt::Prompter;
 use crate::codec::raw::{self, Photo};
-use crate::pair::{FlashRecord, Reason, ReasonCode, Verdict, checks};
+use crate::pair::{self, FlashRecord, FrameView, Limits, Reason, ReasonCode, Verdict};
 use crate::progress::{Cancelled, Progress};
 use crate::rig::{Flash, FlashError, FlashShot, ShotFile};
 use std::collections::VecDeque;
@@ -33,7 +33,7 @@ pub(super) struct Run<'a> {
     bench: &'a mut Bench,
     place: &'a mut dyn Place,
     prompter: &'a Prompter,
-    limits: &'a checks::Limits,
+    limits: &'a Limits,
     progress: &'a Progress,
     off: Option<Taken>,
     on: Option<Taken>,
@@ -47,7 +47,7 @@ impl<'a> Run<'a> {
         bench: &'a mut Bench,
         place: &'a mut dyn Place,
         prompter: &'a Prompter,
-        limits: &'a checks::Limits,
+        limits: &'a Limits,
         progress: &'a Progress,
     ) -> Self {
         Self {
@@ -270,7 +270,7 @@ impl<'a> Run<'a> {
         );
         // A frame that could not be decoded has left its reason already.
         if let (Some(off), Some(on)) = photos {
-            self.reasons.extend(checks::judge(&view(off), &view(on), self.limits));
+            self.reasons.extend(pair::judge(view(off), view(on), self.limits));
         }
         if self.reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected }
     }
@@ -292,8 +292,8 @@ impl<'a> Run<'a> {
     }
 }
 
-fn view(photo: &Photo) -> checks::FrameView<'_> {
-    checks::FrameView { mosaic: &photo.mosaic, settings: &photo.settings }
+fn view(photo: &Photo) -> FrameView<'_> {
+    FrameView { mosaic: &photo.mosaic, settings: &photo.settings }
 }
 
 /// Arms, waiting for a flash that says how long it still recycles.

@@ -1,6 +1,8 @@
 //! The one integration-test binary; a module a subject.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test's helpers may fail as its body may")]
 
+mod capture;
+mod fake_rig;
 mod flash;
 mod floors;
 mod raw;
