@@ -1,5 +1,10 @@
 //! The command line: one file a command, each parses, calls one function of the library and prints.
 
+mod import;
+mod import_pairs;
+mod inspect;
+mod new;
+
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -51,10 +56,22 @@ struct Cli {
 }
 
 #[derive(Subcommand)]
-enum Command {}
+enum Command {
+    /// Makes a session: a folder for pairs, calibration, scene and results.
+    New(new::New),
+    /// Brings files into a session: pairs shot to a card, or the reconstructed scene.
+    #[command(subcommand)]
+    Import(import::Import),
+    /// Shows the true sensor values of a raw file, to find an exposure.
+    Inspect(inspect::Inspect),
+}
 
 /// Parses `args` (the program's name first) and runs the command.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
     let cli = Cli::parse_from(args);
-    match cli.command {}
+    match cli.command {
+        Command::New(arguments) => new::run(&arguments),
+        Command::Import(import) => import::run(&import),
+        Command::Inspect(arguments) => inspect::run(&arguments),
+    }
 }

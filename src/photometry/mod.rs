@@ -2,6 +2,7 @@
 
 mod demosaic;
 mod isolate;
+pub mod inspect;
 mod mosaic;
 mod noise;
 

@@ -1,1 +1,3 @@
 //! Files to results, in stages keyed by the digest of their inputs.
+
+pub mod pairs;

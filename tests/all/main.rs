@@ -5,6 +5,7 @@ mod capture;
 mod fake_rig;
 mod flash;
 mod floors;
+mod pairs;
 mod raw;
 mod session;
 mod scene_import;

@@ -3,8 +3,12 @@
 use rand::{RngExt, SeedableRng};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use unlit::codec::dng::{self, DngContent};
 use unlit::codec::raw::{self, Photo, RawError};
-use unlit::photometry::LevelSource;
+use unlit::pair::Settings;
+use unlit::photometry::{Cfa, LevelSource, Levels, Mosaic};
+use unlit::raster::Image;
+use unlit::units::{FNumber, Iso, Seconds};
 
 /// A file or folder of the shared test data, which lies beside the checkout or where UNLIT_SHARED says.
 pub(crate) fn shared(relative: &str) -> PathBuf {
@@ -33,11 +37,16 @@ fn dcraw(path: &Path) -> (usize, usize, Vec<u16>) {
         .output()
         .expect("dcraw is the independent decoder of this test: apt-get install dcraw");
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
-    let header_end = out.stdout.iter().enumerate().filter(|(_, b)| **b == b'\n').nth(2).unwrap().0 + 1;
-    let header = String::from_utf8_lossy(&out.stdout[..header_end]).into_owned();
+    pgm(&out.stdout)
+}
+
+/// A binary 16-bit PGM: width, height, values.
+fn pgm(bytes: &[u8]) -> (usize, usize, Vec<u16>) {
+    let header_end = bytes.iter().enumerate().filter(|(_, b)| **b == b'\n').nth(2).unwrap().0 + 1;
+    let header = String::from_utf8_lossy(&bytes[..header_end]).into_owned();
     let words: Vec<&str> = header.split_whitespace().collect();
     assert_eq!((words[0], words[3]), ("P5", "65535"), "{header}");
-    let pixels = &out.stdout[header_end..];
+    let pixels = &bytes[header_end..];
     let dn = pixels.chunks_exact(2).map(|c| u16::from_be_bytes([c[0], c[1]])).collect();
     (words[1].parse().unwrap(), words[2].parse().unwrap(), dn)
 }
@@ -142,6 +151,100 @@ fn a_cr2_cut_anywhere_is_cut_short_or_not_a_raw() {
     let half = whole.len() / 2;
     zeroed[half..].fill(0);
     assert!(matches!(raw::decode(&zeroed, "zeroed.cr2"), Err(RawError::NoEndMarker { .. })));
+}
+
+/// A frame of distinct values with a masked border, written as a DNG into `folder`.
+fn written_dng(folder: &Path) -> (PathBuf, Mosaic, Image<u16>) {
+    let mosaic = Mosaic {
+        dn: Image::from_fn(640, 400, |x, y| (2100 + (x * 37 + y * 101) % 13_000) as u16),
+        cfa: Cfa::RGGB,
+        levels: Levels {
+            black: [[2048.0; 2]; 2],
+            saturation: [[15380.0; 2]; 2],
+            black_source: LevelSource::FileTag,
+            saturation_source: LevelSource::FileTag,
+        },
+    };
+    let masked = Image::from_fn(32, 400, |x, y| (2040 + (x + y) % 16) as u16);
+    let settings = Settings {
+        make: Some("Canon".into()),
+        model: Some("Canon EOS 5DS".into()),
+        serial: Some("083022000039".into()),
+        lens: Some("EF100mm f/2.8L Macro IS USM".into()),
+        shutter: Some(Seconds(1.0 / 125.0)),
+        aperture: Some(FNumber(6.3)),
+        iso: Some(Iso(400.0)),
+        focal_length_mm: Some(100.0),
+        exposure_program: Some("Manual".into()),
+        white_balance: Some("Manual".into()),
+        taken_at: Some("2026-05-04T10:00:04".into()),
+    };
+    let content = DngContent { mosaic: &mosaic, settings: &settings, masked_left: Some(&masked) };
+    let path = folder.join("written.dng");
+    std::fs::write(&path, dng::encode(&content).unwrap()).unwrap();
+    (path, mosaic, masked)
+}
+
+#[test]
+fn a_dng_that_we_write_is_read_alike_by_dcraw_and_rawloader() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, mosaic, masked) = written_dng(folder.path());
+    let photo = raw::read(&path).unwrap();
+    assert_eq!(photo.mosaic.dn, mosaic.dn);
+    assert_sites_equal(&photo, &path, 0, 0);
+    let other = rawloader::decode_file(&path).unwrap();
+    let rawloader::RawImageData::Integer(whole) = other.data else { panic!("floating point") };
+    assert_eq!((other.width, other.height, other.crops), (672, 400, [0, 0, 0, 32]));
+    for y in 0..400 {
+        assert_eq!(&whole[y * 672..][..32], &masked.pixels()[y * 32..][..32], "row {y}");
+        assert_eq!(&whole[y * 672 + 32..][..640], &mosaic.dn.pixels()[y * 640..][..640], "row {y}");
+    }
+}
+
+#[test]
+fn a_dng_that_we_write_is_read_by_libraw() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, mosaic, _) = written_dng(folder.path());
+    // -E would keep the border; without it LibRaw gives the active area. -4 -D: 16 bits, nothing scaled.
+    let out = Command::new("dcraw_emu")
+        .args(["-D", "-4", "-t", "0", "-Z", "-"])
+        .arg(&path)
+        .output()
+        .expect("dcraw_emu is LibRaw's own tool: apt-get install libraw-bin");
+    if !out.status.success() || out.stdout.is_empty() {
+        panic!("LibRaw refuses it: {}", String::from_utf8_lossy(&out.stderr));
+    }
+    let (width, height, dn) = pgm(&out.stdout);
+    assert_eq!((width, height), (640, 400));
+    assert!(dn == mosaic.dn.pixels(), "LibRaw reads other values");
+}
+
+#[test]
+fn exiftool_finds_the_settings_of_a_dng_that_we_write_and_nothing_to_complain_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, ..) = written_dng(folder.path());
+    let out = Command::new("exiftool")
+        .args(["-j", "-n", "-validate", "-warning", "-error", "-a"])
+        .args(["-Make", "-Model", "-SerialNumber", "-LensModel", "-ExposureTime", "-FNumber", "-ISO"])
+        .args(["-FocalLength", "-ExposureProgram", "-WhiteBalance", "-DateTimeOriginal", "-WhiteLevel"])
+        .args(["-BlackLevel", "-ActiveArea", "-MaskedAreas", "-ExifVersion"])
+        .arg(&path)
+        .output()
+        .expect("exiftool is the independent reader of this test: apt-get install libimage-exiftool-perl");
+    let told: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    let told = &told[0];
+    assert_eq!(told["Error"], serde_json::Value::Null, "{told}");
+    assert_eq!(told["Make"], "Canon");
+    assert_eq!(told["LensModel"], "EF100mm f/2.8L Macro IS USM");
+    assert_eq!(told["ExposureTime"], 0.008);
+    assert_eq!(told["FNumber"], 6.3);
+    assert_eq!(told["ISO"], 400);
+    assert_eq!(told["ExposureProgram"], 1);
+    assert_eq!(told["WhiteBalance"], 1);
+    assert_eq!(told["DateTimeOriginal"], "2026:05:04 10:00:04");
+    assert_eq!((&told["WhiteLevel"], &told["BlackLevel"]), (&15380.into(), &2048.into()));
+    assert_eq!(told["ActiveArea"], "0 32 400 672");
+    assert_eq!(told["MaskedAreas"], "0 0 400 32");
 }
 
 #[test]

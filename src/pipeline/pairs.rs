@@ -1,0 +1,198 @@
+//! Pairs that were shot to a card: from two folders of files into the session, judged on the way.
+//!
+//! Files are matched by their stem (`IMG_0007.CR2` with `IMG_0007.CR2`), which becomes the pair's name.
+//! Every pair is stored, the rejected ones too, with what is wrong with them. A pair that is there already
+//! (same name, same bytes) is passed over; a name that is there with other bytes is an error.
+
+use crate::codec::{exif::settings as settings_of, raw};
+use crate::pair::{self, FrameView, Limits, PairRecord, Reason, Settings};
+use crate::progress::{Cancelled, Progress};
+use crate::session::{Commit, NewFrame, NewPair, Session, SessionError};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// What cameras and programs lay beside their raws, not raws themselves.
+const SIDECARS: [&str; 12] =
+    ["jpg", "jpeg", "heif", "hif", "xmp", "thm", "txt", "md", "json", "pp3", "wav", "mp4"];
+
+/// One pair of the import.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Imported {
+    /// The pair as stored.
+    pub record: PairRecord,
+    /// Whether it had been stored by an earlier import.
+    pub already_there: bool,
+}
+
+/// What an import did.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Summary {
+    /// All matched pairs, in order of their names.
+    pub imported: Vec<Imported>,
+    /// Files without flash that have no partner.
+    pub unmatched_off: Vec<PathBuf>,
+    /// Files with flash that have no partner.
+    pub unmatched_on: Vec<PathBuf>,
+}
+
+/// Why an import stopped. Pairs stored before stay.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ImportError {
+    /// A folder or file could not be read.
+    #[error("{path}: {source}; check the path and its permissions")]
+    Io {
+        /// Which.
+        path: PathBuf,
+        /// The system's own word.
+        source: std::io::Error,
+    },
+    /// Two files of one folder have one stem.
+    #[error("{first} and {second} have the same name but for their ending; keep one of them")]
+    Ambiguous {
+        /// One.
+        first: PathBuf,
+        /// The other.
+        second: PathBuf,
+    },
+    /// No name occurs in both folders.
+    #[error("{off} and {on} have no file name in common; the two frames of a pair must bear the same name")]
+    NothingMatches {
+        /// Folder of unlit frames.
+        off: PathBuf,
+        /// Folder of lit frames.
+        on: PathBuf,
+    },
+    /// The file of limits is not one.
+    #[error("{path} holds no limits of the checks: {source}; see `unlit import pairs --help`")]
+    Limits {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        source: serde_json::Error,
+    },
+    /// The session refused.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// Stopped on request.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+/// Limits out of a JSON file; the defaults without one.
+pub fn read_limits(path: Option<&Path>) -> Result<Limits, ImportError> {
+    let Some(path) = path else { return Ok(Limits::default()) };
+    let bytes = std::fs::read(path).map_err(io(path))?;
+    serde_json::from_slice(&bytes).map_err(|source| ImportError::Limits { path: path.to_owned(), source })
+}
+
+/// Imports all pairs that the two folders have in common; `each` is told of every pair as it is stored.
+pub fn import(
+    session: &Session,
+    off_dir: &Path,
+    on_dir: &Path,
+    limits: &Limits,
+    progress: &Progress,
+    mut each: impl FnMut(&Imported),
+) -> Result<Summary, ImportError> {
+    let off_files = files_by_stem(off_dir)?;
+    let mut on_files = files_by_stem(on_dir)?;
+    let mut summary = Summary::default();
+    let mut matched = Vec::new();
+    for (stem, off) in off_files {
+        match on_files.remove(&stem) {
+            Some(on) => matched.push((stem, off, on)),
+            None => summary.unmatched_off.push(off),
+        }
+    }
+    summary.unmatched_on = on_files.into_values().collect();
+    if matched.is_empty() {
+        return Err(ImportError::NothingMatches { off: off_dir.to_owned(), on: on_dir.to_owned() });
+    }
+    let total = matched.len();
+    for (done, (stem, off, on)) in matched.into_iter().enumerate() {
+        progress.check()?;
+        progress.report("importing pairs", done, total);
+        let imported = import_pair(session, &stem, &off, &on, limits)?;
+        each(&imported);
+        summary.imported.push(imported);
+    }
+    progress.report("importing pairs", total, total);
+    Ok(summary)
+}
+
+fn import_pair(
+    session: &Session,
+    stem: &str,
+    off: &Path,
+    on: &Path,
+    limits: &Limits,
+) -> Result<Imported, ImportError> {
+    let (off_bytes, on_bytes) = (std::fs::read(off).map_err(io(off))?, std::fs::read(on).map_err(io(on))?);
+    let decode = |bytes: &[u8], path: &Path| raw::decode(bytes, &path.display().to_string());
+    let (off_photo, on_photo) = rayon::join(|| decode(&off_bytes, off), || decode(&on_bytes, on));
+    let reasons = judge(&off_photo, &on_photo, limits);
+    // What cannot be decoded may still tell its settings.
+    let settings = |photo: Result<raw::Photo, raw::RawError>, bytes: &[u8]| -> Settings {
+        photo.map_or_else(|_| settings_of(bytes), |photo| photo.settings)
+    };
+    let (off_name, on_name) = (file_name(off), file_name(on));
+    let new = NewPair {
+        name: Some(stem),
+        off: NewFrame {
+            bytes: &off_bytes,
+            original_name: &off_name,
+            settings: settings(off_photo, &off_bytes),
+        },
+        on: NewFrame { bytes: &on_bytes, original_name: &on_name, settings: settings(on_photo, &on_bytes) },
+        reasons,
+        flash: None,
+    };
+    Ok(match session.commit_pair(new)? {
+        Commit::Stored(record) => Imported { record, already_there: false },
+        Commit::AlreadyThere(record) => Imported { record, already_there: true },
+    })
+}
+
+/// A pair's reasons for rejection out of its two decoded files: what decoding says, else what the checks say.
+pub fn judge(
+    off: &Result<raw::Photo, raw::RawError>,
+    on: &Result<raw::Photo, raw::RawError>,
+    limits: &Limits,
+) -> Vec<Reason> {
+    fn view(photo: &raw::Photo) -> FrameView<'_> {
+        FrameView { mosaic: &photo.mosaic, settings: &photo.settings }
+    }
+    match (off, on) {
+        (Ok(off), Ok(on)) => pair::judge(view(off), view(on), limits),
+        (off, on) => {
+            [off, on].into_iter().filter_map(|p| p.as_ref().err()).map(raw::RawError::reason).collect()
+        }
+    }
+}
+
+fn files_by_stem(folder: &Path) -> Result<BTreeMap<String, PathBuf>, ImportError> {
+    let mut files = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).map_err(io(folder))? {
+        let path = entry.map_err(io(folder))?.path();
+        let (Some(stem), Some(extension)) = (path.file_stem(), path.extension()) else { continue };
+        let stem = stem.to_string_lossy().into_owned();
+        let extension = extension.to_string_lossy().to_lowercase();
+        if !path.is_file() || stem.starts_with('.') || SIDECARS.contains(&extension.as_str()) {
+            continue;
+        }
+        if let Some(first) = files.insert(stem, path.clone()) {
+            return Err(ImportError::Ambiguous { first, second: path });
+        }
+    }
+    Ok(files)
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+fn io(path: &Path) -> impl FnOnce(std::io::Error) -> ImportError + use<> {
+    let path = path.to_owned();
+    move |source| ImportError::Io { path, source }
+}

@@ -1,0 +1,236 @@
+//! Pairs as files: the bird bath's good and bad ones through checks, import and command line.
+
+use crate::raw::shared;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use unlit::codec::raw;
+use unlit::pair::{Expected, FrameView, Limits, Reason, ReasonCode, Settings, Verdict, judge_expecting};
+use unlit::pipeline::pairs::{self, ImportError};
+use unlit::progress::Progress;
+use unlit::session::{Session, SessionError};
+
+fn birdbath(relative: &str) -> PathBuf {
+    shared("scenes/birdbath").join(relative)
+}
+
+fn judged(off: &str, on: &str) -> Vec<Reason> {
+    pairs::judge(&raw::read(&birdbath(off)), &raw::read(&birdbath(on)), &Limits::default())
+}
+
+fn codes(reasons: &[Reason]) -> Vec<ReasonCode> {
+    reasons.iter().map(|r| r.code).collect()
+}
+
+#[test]
+fn every_pair_of_the_bird_bath_is_accepted() {
+    for i in 0..24 {
+        let reasons = judged(&format!("photos/off/{i:03}.dng"), &format!("photos/on/{i:03}.dng"));
+        assert_eq!(reasons, [], "pair {i:03}");
+    }
+}
+
+#[test]
+fn a_pair_that_went_wrong_is_rejected_for_the_right_reason_alone() {
+    for (name, expected) in [
+        ("good", vec![]),
+        ("misfire", vec![ReasonCode::Misfire]),
+        ("overexposed", vec![ReasonCode::Overexposed]),
+        ("settings_changed", vec![ReasonCode::SettingsChanged]),
+        ("moved", vec![ReasonCode::Moved]),
+        ("ambient_changed", vec![ReasonCode::AmbientChanged]),
+    ] {
+        let reasons = judged(&format!("bad/{name}_off.dng"), &format!("bad/{name}_on.dng"));
+        assert_eq!(codes(&reasons), expected, "{name}: {reasons:#?}");
+    }
+    let cut = judged("bad/good_off.dng", "bad/truncated.dng");
+    assert_eq!(codes(&cut), [ReasonCode::Truncated]);
+    let alien = judged("bad/not_a_raw.dng", "bad/good_on.dng");
+    assert_eq!(codes(&alien), [ReasonCode::Unreadable]);
+    assert!(alien[0].sentence.contains("not_a_raw.dng"), "{}", alien[0].sentence);
+}
+
+#[test]
+fn a_weak_flash_is_told_from_the_same_stop_shot_before() {
+    let read = |name: &str| raw::read(&birdbath(name)).unwrap();
+    let earlier = (read("photos/off/012.dng"), read("photos/on/012.dng"));
+    let settings = Settings::default();
+    for (name, expected) in [("weak", vec![ReasonCode::Weak]), ("good", vec![])] {
+        let (off, on) = (read(&format!("bad/{name}_off.dng")), read(&format!("bad/{name}_on.dng")));
+        let view = |photo| FrameView { mosaic: photo, settings: &settings };
+        let expectation = Expected { plan: None, earlier: Some((&earlier.0.mosaic, &earlier.1.mosaic)) };
+        let reasons = judge_expecting(view(&off.mosaic), view(&on.mosaic), &expectation, &Limits::default());
+        assert_eq!(codes(&reasons), expected, "{name}: {reasons:#?}");
+    }
+}
+
+fn unlit(arguments: &[&str], home: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).env("HOME", home).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Folders `off` and `on` with three pairs, one of them a misfire, a lonely file and a sidecar.
+fn card(home: &Path) -> (String, String) {
+    let (off, on) = (home.join("off"), home.join("on"));
+    std::fs::create_dir_all(&off).unwrap();
+    std::fs::create_dir_all(&on).unwrap();
+    let copy = |from: &str, to: PathBuf| std::fs::write(to, std::fs::read(birdbath(from)).unwrap()).unwrap();
+    copy("photos/off/003.dng", off.join("003.dng"));
+    copy("photos/on/003.dng", on.join("003.DNG"));
+    copy("bad/misfire_off.dng", off.join("dud.dng"));
+    copy("bad/misfire_on.dng", on.join("dud.dng"));
+    copy("bad/good_off.dng", off.join("torn.dng"));
+    copy("bad/truncated.dng", on.join("torn.dng"));
+    copy("bad/good_off.dng", off.join("lonely.dng"));
+    std::fs::write(on.join("003.xmp"), b"<x/>").unwrap();
+    (off.display().to_string(), on.display().to_string())
+}
+
+#[test]
+fn import_stores_all_pairs_says_what_is_wrong_and_ends_with_3() {
+    let home = tempfile::tempdir().unwrap();
+    let session = home.path().join("bath").display().to_string();
+    let (off, on) = card(home.path());
+    let made = unlit(&["new", &session], home.path());
+    assert!(made.status.success(), "{}", text(&made.stderr));
+    let arguments = ["import", "pairs", &session, "--off", &off, "--on", &on];
+    let imported = unlit(&arguments, home.path());
+    let said = text(&imported.stdout);
+    assert_eq!(imported.status.code(), Some(3), "{said}{}", text(&imported.stderr));
+    assert!(said.contains("0001 003 accepted\n"), "{said}");
+    assert!(said.contains("0002 dud rejected: The light rose in"), "{said}");
+    assert!(said.contains("0003 torn rejected: ") && said.contains("is cut short"), "{said}");
+    assert!(said.contains("lonely.dng: no partner"), "{said}");
+
+    let opened = Session::open(Path::new(&session)).unwrap();
+    let records = opened.pairs().unwrap();
+    assert_eq!(records.iter().map(|r| r.name.as_str()).collect::<Vec<_>>(), ["003", "dud", "torn"]);
+    assert_eq!(records[0].verdict, Verdict::Accepted);
+    assert_eq!(records[2].reasons[0].code, ReasonCode::Truncated);
+    assert_eq!(records[0].on.file, "on.dng");
+    assert_eq!(records[0].on.original_name, "003.DNG");
+    assert_eq!(records[2].on.settings.iso.map(|i| i.0), Some(100.0));
+    assert!(records.iter().all(|r| opened.originals_intact(r).unwrap()));
+    drop(opened);
+
+    let again = unlit(&arguments, home.path());
+    assert!(
+        text(&again.stdout).contains("0 pairs stored, 3 there already, 2 rejected"),
+        "{}",
+        text(&again.stdout)
+    );
+}
+
+#[test]
+fn import_accepts_other_limits_and_refuses_what_is_none() {
+    let home = tempfile::tempdir().unwrap();
+    let session = Session::create(&home.path().join("bath"), "bath").unwrap();
+    let (off, on) = card(home.path());
+    let file = home.path().join("limits.json");
+    std::fs::write(&file, br#"{"lit_share": 0.0}"#).unwrap();
+    let limits = pairs::read_limits(Some(&file)).unwrap();
+    let silent = Progress::silent();
+    let summary = pairs::import(&session, Path::new(&off), Path::new(&on), &limits, &silent, |_| {}).unwrap();
+    assert!(!codes(&summary.imported[1].record.reasons).contains(&ReasonCode::Misfire));
+    std::fs::write(&file, br#"{"lit_shore": 0.0}"#).unwrap();
+    assert!(matches!(pairs::read_limits(Some(&file)), Err(ImportError::Limits { .. })));
+}
+
+#[test]
+fn import_of_other_photographs_under_a_stored_name_is_refused() {
+    let home = tempfile::tempdir().unwrap();
+    let session = Session::create(&home.path().join("bath"), "bath").unwrap();
+    let (off, on) = card(home.path());
+    let (off, on) = (Path::new(&off), Path::new(&on));
+    let (limits, silent) = (Limits::default(), Progress::silent());
+    pairs::import(&session, off, on, &limits, &silent, |_| {}).unwrap();
+    std::fs::copy(on.join("dud.dng"), on.join("003.DNG")).unwrap();
+    let refused = pairs::import(&session, off, on, &limits, &silent, |_| {});
+    assert!(matches!(refused, Err(ImportError::Session(SessionError::DuplicateName { number: 1, .. }))));
+}
+
+#[test]
+fn folders_without_a_common_name_are_an_error() {
+    let home = tempfile::tempdir().unwrap();
+    let session = Session::create(&home.path().join("bath"), "bath").unwrap();
+    let nothing = pairs::import(
+        &session,
+        &birdbath("photos/off"),
+        &birdbath("calibration/dark"),
+        &Limits::default(),
+        &Progress::silent(),
+        |_| {},
+    );
+    assert!(matches!(nothing, Err(ImportError::NothingMatches { .. })), "{nothing:?}");
+}
+
+#[test]
+fn inspect_tells_true_sensor_values_as_json() {
+    let home = tempfile::tempdir().unwrap();
+    let file = shared("data/raw/dng16_perchblack.dng").display().to_string();
+    let out = unlit(&["inspect", &file, "--roi", "100,50,301,200", "--json"], home.path());
+    assert!(out.status.success(), "{}", text(&out.stderr));
+    let told: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    let photo = raw::read(Path::new(&file)).unwrap();
+    let mut sites = Vec::new();
+    for y in 50..250 {
+        sites.extend((100..401).map(|x| *photo.mosaic.dn.at(x, y)));
+    }
+    let mean = sites.iter().map(|&v| f64::from(v)).sum::<f64>() / sites.len() as f64;
+    assert_eq!(told["region_maximum"], *sites.iter().max().unwrap());
+    assert!((told["region_mean"].as_f64().unwrap() - mean).abs() < 1e-9);
+    assert_eq!(told["frame_maximum"], *photo.mosaic.dn.pixels().iter().max().unwrap());
+    let channels = told["channels"].as_array().unwrap();
+    let counted: u64 = channels
+        .iter()
+        .map(|c| {
+            let bins: u64 = c["histogram"].as_array().unwrap().iter().map(|b| b.as_u64().unwrap()).sum();
+            assert_eq!(c["histogram"].as_array().unwrap().len(), 100);
+            bins + c["below_black"].as_u64().unwrap() + c["at_saturation"].as_u64().unwrap()
+        })
+        .sum();
+    assert_eq!(counted, sites.len() as u64);
+    assert_eq!(told["levels"]["black_source"], "masked_pixels");
+    assert_eq!(told["settings"]["iso"], 100.0);
+}
+
+#[test]
+fn inspect_of_every_sample_gives_values_or_says_what_to_do() {
+    let home = tempfile::tempdir().unwrap();
+    for (name, expected) in [
+        ("small_5DS.cr2", Ok("saturation    14466.00 DN, from the decoder's table")),
+        ("dng16_as5DS.dng", Ok("the frame's masked pixels")),
+        ("dng16_perchblack.dng", Ok("red histogram of the region: 100 bins")),
+        ("dng14_tiffcrate.dng", Ok("1056 x 736 pixels, filters RG/GB")),
+        ("tinydng_colorchart.dng", Ok("black         2056.00 DN, from the file's tag")),
+        ("photoprism_canon_eos_6d.dng", Err("has no CFA: already demosaiced")),
+        ("nomexif_canon-r6.cr3", Err("convert it to DNG")),
+        ("metaextr_issue247-4.nef", Err("it is a JPEG, whatever its name says")),
+        ("mut_rawler_abort_alloc.dng", Err("has no readable BitsPerSample tag")),
+    ] {
+        let file = shared("data/raw").join(name).display().to_string();
+        let out = unlit(&["inspect", &file], home.path());
+        let (said, complained) = (text(&out.stdout), text(&out.stderr));
+        match expected {
+            Ok(words) => {
+                assert_eq!(out.status.code(), Some(0), "{name}: {complained}");
+                assert!(said.contains(words), "{name}: {said}");
+            }
+            Err(words) => {
+                assert_eq!(out.status.code(), Some(1), "{name}: {said}");
+                assert!(complained.contains(words), "{name}: {complained}");
+            }
+        }
+    }
+}
+
+#[test]
+fn inspect_refuses_a_region_outside_the_frame() {
+    let home = tempfile::tempdir().unwrap();
+    let file = birdbath("bad/good_on.dng").display().to_string();
+    let out = unlit(&["inspect", &file, "--roi", "590,0,20,10"], home.path());
+    assert_eq!(out.status.code(), Some(1));
+    assert!(text(&out.stderr).contains("not inside the frame of 600 x 400 pixels"), "{}", text(&out.stderr));
+}
