@@ -4,6 +4,7 @@ mod import;
 mod import_pairs;
 mod inspect;
 mod new;
+mod camera_host;
 
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
@@ -64,6 +65,9 @@ enum Command {
     Import(import::Import),
     /// Shows the true sensor values of a raw file, to find an exposure.
     Inspect(inspect::Inspect),
+    /// Runs one camera for another unlit process.
+    #[command(hide = true)]
+    CameraHost(camera_host::Args),
 }
 
 /// Parses `args` (the program's name first) and runs the command.
@@ -73,5 +77,6 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
         Command::New(arguments) => new::run(&arguments),
         Command::Import(import) => import::run(&import),
         Command::Inspect(arguments) => inspect::run(&arguments),
+        Command::CameraHost(args) => camera_host::run(&args),
     }
 }

@@ -2,6 +2,8 @@
 //! [`crate::capture`] alone owns a rig.
 
 pub mod flash;
+pub mod camera;
 mod traits;
+pub mod usb;
 
 pub use traits::{Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, ShotFile};

@@ -4,6 +4,9 @@
 mod capture;
 mod fake_rig;
 mod flash;
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on stops where it is")]
+
+mod camera;
 mod floors;
 mod pairs;
 mod raw;

@@ -37,6 +37,11 @@ const SHOTS_LEFT: u32 = 99;
 /// `EVF_OUTPUT` bit that sends the viewfinder to the computer.
 const EVF_TO_COMPUTER: u32 = 2;
 
+/// Frames go to the card, where a body without a computer puts them.
+const TARGET_CARD: u32 = 1;
+/// Frames wait in memory for the computer.
+const TARGET_COMPUTER: u32 = 4;
+
 /// A property's value.
 #[derive(Clone)]
 enum Value {
@@ -97,7 +102,7 @@ impl Body {
             (prop::BATTERY, fixed(2)),
             (prop::POWER_OFF, Value::Number(0, vec![0, 60])),
             (prop::SHOTS_LEFT, fixed(SHOTS_LEFT)),
-            (prop::TARGET, Value::Number(4, vec![1, 4])),
+            (prop::TARGET, Value::Number(TARGET_CARD, vec![TARGET_CARD, TARGET_COMPUTER])),
             (prop::FORMAT, Value::RawOnly),
             (prop::FORMAT_CF, Value::RawOnly),
             (prop::FORMAT_SD, Value::RawOnly),
@@ -130,9 +135,14 @@ impl Body {
         }
     }
 
-    /// Forgets a former client: frames nobody fetched, events nobody read.
+    /// Forgets a former client: frames nobody fetched, events nobody read, live view, where frames went.
     pub(super) fn reset_client(&mut self) {
         self.frames.clear();
+        for (property, value) in [(prop::TARGET, TARGET_CARD), (prop::EVF_OUTPUT, 0)] {
+            if let Some(Value::Number(now, _)) = self.properties.get_mut(&property) {
+                *now = value;
+            }
+        }
         self.events.clear();
     }
 
@@ -171,8 +181,7 @@ impl Body {
         let Some(Value::Number(now, list)) = self.properties.get_mut(&property) else {
             return Err(SetError::Unknown);
         };
-        // The library ends a session with a target that older bodies call the card.
-        if !list.contains(&value) && property != prop::TARGET {
+        if !list.contains(&value) {
             return Err(SetError::Value);
         }
         *now = value;
@@ -190,6 +199,11 @@ impl Body {
     /// Whether the viewfinder goes to the computer.
     pub(super) fn live(&self) -> bool {
         self.number(prop::EVF_OUTPUT) & EVF_TO_COMPUTER != 0
+    }
+
+    /// Whether frames go to the computer.
+    pub(super) fn to_computer(&self) -> bool {
+        self.number(prop::TARGET) == TARGET_COMPUTER
     }
 
     /// What the three dials show.

@@ -135,11 +135,12 @@ pub(super) fn device_info() -> Vec<u8> {
     d.0
 }
 
-/// Canon's own device info: size, and arrays of events, properties and one more that nobody reads.
+/// Canon's own device info: size, and arrays of events, properties and one more, whose meaning is not known
+/// and whose content nobody reads; libgphoto2 takes an empty array for a broken answer.
 pub(super) fn eos_device_info(properties: &[u32]) -> Vec<u8> {
     let events = array(&[0xc181, 0xc186, 0xc189, 0xc18a, 0xc18b]);
     let properties = array(properties);
-    let rest = array(&[]);
+    let rest = array(&[0, 1, 2, 4, 8]);
     let mut bytes = u32s(&[(4 + events.len() + properties.len() + rest.len()) as u32]);
     bytes.extend(events);
     bytes.extend(properties);

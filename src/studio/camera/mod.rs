@@ -195,7 +195,8 @@ impl Drop for CameraServer {
         for link in self.shared.links.lock().unwrap_or_else(PoisonError::into_inner).drain(..) {
             let _ = link.shutdown(Shutdown::Both);
         }
-        let threads = std::mem::take(&mut *self.shared.threads.lock().unwrap_or_else(PoisonError::into_inner));
+        let threads =
+            std::mem::take(&mut *self.shared.threads.lock().unwrap_or_else(PoisonError::into_inner));
         for thread in threads {
             let _ = thread.join();
         }

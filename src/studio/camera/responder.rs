@@ -14,6 +14,7 @@ mod answer {
     pub(super) const UNSUPPORTED: u16 = 0x2005;
     pub(super) const NO_OBJECT: u16 = 0x2009;
     pub(super) const NO_PROPERTY: u16 = 0x200a;
+    pub(super) const NO_CARD: u16 = 0x2013;
     pub(super) const BUSY: u16 = 0x2019;
     pub(super) const BAD_VALUE: u16 = 0x201c;
     pub(super) const BAD_PARAMETER: u16 = 0x201d;
@@ -51,7 +52,8 @@ pub(super) fn serve(mut stream: TcpStream, shared: &Arc<Shared>) -> io::Result<(
         kind::INIT_COMMAND => {
             let mut name: Vec<u8> = NAME.encode_utf16().flat_map(u16::to_le_bytes).collect();
             name.extend([0, 0]);
-            let (connection, guid, version) = (1_u32.to_le_bytes(), [0x55; 16], 0x0001_0000_u32.to_le_bytes());
+            let (connection, guid, version) =
+                (1_u32.to_le_bytes(), [0x55; 16], 0x0001_0000_u32.to_le_bytes());
             packet::write(&mut stream, kind::INIT_COMMAND_ACK, &[&connection, &guid, &name, &version])?;
             shared.body()?.reset_client();
             commands(stream, shared)
@@ -90,7 +92,10 @@ fn commands(mut stream: TcpStream, shared: &Arc<Shared>) -> io::Result<()> {
         shared.pass_stall()?;
         tracing::trace!("{:04x} {:x?} {:x?}", request.operation, request.parameters, sent);
         if request.operation == op::GET_PARTIAL_OBJECT && shared.take_fault(Fault::DropInDownload)? {
-            return Err(io::Error::new(io::ErrorKind::ConnectionAborted, "link dropped in a download, as asked"));
+            return Err(io::Error::new(
+                io::ErrorKind::ConnectionAborted,
+                "link dropped in a download, as asked",
+            ));
         }
         let answer = operate(&request, &sent, shared)?;
         reply(&mut stream, &request, &answer)?;
@@ -214,6 +219,9 @@ fn release(shared: &Arc<Shared>) -> io::Result<Answer> {
     let mut body = shared.body()?;
     if body.exposing {
         return Ok(Answer::code(answer::BUSY));
+    }
+    if !body.to_computer() {
+        return Ok(Answer::code(answer::NO_CARD));
     }
     let Some(exposure) = body.exposure() else {
         return Ok(Answer::code(answer::GENERAL));

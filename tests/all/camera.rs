@@ -1,0 +1,217 @@
+//! The real libgphoto2, in its child process, against the simulated camera.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+use unlit::rig::camera::{Deadlines, Dial, HostedCamera, list_with};
+use unlit::rig::{Camera, CameraError};
+use unlit::studio::camera::{CameraServer, Fault};
+use unlit::studio::{Exposure, View};
+use unlit::units::{FNumber, Iso, Seconds};
+
+/// Gives a different blob for each frame, longer than one download chunk, and remembers the exposures.
+#[derive(Default)]
+struct Blobs {
+    frames: AtomicU32,
+    exposures: Mutex<Vec<Exposure>>,
+}
+
+fn blob(number: u32) -> Vec<u8> {
+    (0..1_300_000 + number)
+        .map(|i| (i.wrapping_mul(2_654_435_761).wrapping_add(number) >> 13) as u8)
+        .collect()
+}
+
+/// A JPEG's markers round nothing: libgphoto2 looks at no more.
+const PREVIEW: &[u8] = &[0xff, 0xd8, 0xff, 0xe0, 1, 2, 3, 4, 0xff, 0xd9];
+
+impl View for Blobs {
+    fn expose(&self, exposure: &Exposure) -> Vec<u8> {
+        self.exposures.lock().unwrap().push(exposure.clone());
+        blob(self.frames.fetch_add(1, Ordering::SeqCst))
+    }
+
+    fn preview(&self) -> Vec<u8> {
+        PREVIEW.to_vec()
+    }
+}
+
+struct Studio {
+    view: Arc<Blobs>,
+    server: CameraServer,
+}
+
+impl Studio {
+    fn new() -> Self {
+        let view = Arc::new(Blobs::default());
+        Self { server: CameraServer::start(view.clone()).unwrap(), view }
+    }
+
+    fn camera(&self) -> HostedCamera {
+        self.camera_with(Deadlines::default())
+    }
+
+    fn camera_with(&self, deadlines: Deadlines) -> HostedCamera {
+        HostedCamera::open_with(program(), Some(&self.server.port()), deadlines).unwrap()
+    }
+
+    fn frames(&self) -> u32 {
+        self.view.frames.load(Ordering::SeqCst)
+    }
+}
+
+fn program() -> &'static Path {
+    Path::new(env!("CARGO_BIN_EXE_unlit"))
+}
+
+#[test]
+fn the_camera_introduces_itself_and_tells_its_settings() {
+    let studio = Studio::new();
+    let mut camera = studio.camera();
+    let info = camera.info().unwrap();
+    assert_eq!((info.model.as_str(), info.port), ("Canon EOS 5DS", studio.server.port()));
+    assert_eq!(info.serial.as_deref(), Some("000000000042"));
+    let settings = camera.settings().unwrap();
+    assert_eq!(settings.shutter, Some(Seconds(1.0 / 125.0)));
+    assert_eq!(settings.aperture, Some(FNumber(11.0)));
+    assert_eq!(settings.iso, Some(Iso(100.0)));
+    assert_eq!(settings.exposure_program.as_deref(), Some("Manual"));
+    assert_eq!(settings.make.as_deref(), Some("Canon Inc."));
+    assert_eq!(studio.frames(), 0, "asking must not release the shutter");
+}
+
+#[test]
+fn shots_in_a_row_bring_each_frame_once_and_whole() {
+    let studio = Studio::new();
+    let mut camera = studio.camera();
+    for number in 0..3 {
+        let began = Instant::now();
+        let shot = camera.shoot().unwrap();
+        eprintln!("shot {number}: {} bytes in {:?}", shot.bytes.len(), began.elapsed());
+        assert!(shot.bytes == blob(number), "frame {number} is not what the sensor gave");
+        assert!(shot.name.ends_with(".cr2"), "{}", shot.name);
+        assert_eq!(studio.frames(), number + 1);
+    }
+}
+
+#[test]
+fn a_turned_dial_shows_in_the_exposure() {
+    let studio = Studio::new();
+    let mut camera = studio.camera();
+    camera.set(Dial::Shutter(Seconds(1.0 / 60.0))).unwrap();
+    camera.set(Dial::Aperture(FNumber(8.0))).unwrap();
+    camera.set(Dial::Iso(Iso(400.0))).unwrap();
+    camera.shoot().unwrap();
+    let wanted = Exposure { shutter: Seconds(1.0 / 60.0), aperture: FNumber(8.0), iso: Iso(400.0) };
+    assert_eq!(*studio.view.exposures.lock().unwrap(), [wanted]);
+    let settings = camera.settings().unwrap();
+    assert_eq!((settings.shutter, settings.iso), (Some(Seconds(1.0 / 60.0)), Some(Iso(400.0))));
+}
+
+#[test]
+fn a_value_that_is_on_no_dial_is_refused_in_words() {
+    let studio = Studio::new();
+    let mut camera = studio.camera();
+    let error = camera.set(Dial::Iso(Iso(123_456.0))).unwrap_err();
+    assert!(matches!(&error, CameraError::Refused { .. }), "{error}");
+    assert!(error.to_string().contains("6400"), "the message names what there is: {error}");
+    let offered = camera.offered().unwrap();
+    assert!(offered.shutters.contains(&Seconds(1.0 / 125.0)) && offered.isos.contains(&Iso(6400.0)));
+    assert!(offered.apertures.contains(&FNumber(5.6)));
+}
+
+#[test]
+fn a_live_picture_comes_and_the_next_shot_is_unharmed() {
+    let studio = Studio::new();
+    let mut camera = studio.camera();
+    assert_eq!(camera.preview().unwrap(), PREVIEW);
+    assert_eq!(camera.preview().unwrap(), PREVIEW);
+    assert!(camera.shoot().unwrap().bytes == blob(0));
+}
+
+#[test]
+fn a_stalled_camera_misses_its_deadline_and_works_again_once_mended() {
+    let studio = Studio::new();
+    let mut camera = studio.camera_with(Deadlines { shot: Duration::from_secs(1), ..Deadlines::default() });
+    camera.settings().unwrap();
+    studio.server.fault(Fault::Stall);
+    let began = Instant::now();
+    let error = camera.shoot().unwrap_err();
+    assert!(matches!(error, CameraError::Deadline { .. }), "{error}");
+    assert!(began.elapsed() < Duration::from_secs(2), "took {:?}", began.elapsed());
+    assert_eq!(studio.frames(), 0);
+    studio.server.mend();
+    assert!(camera.shoot().unwrap().bytes == blob(0));
+    assert_eq!(studio.frames(), 1, "the shot that stalled is not made up for");
+}
+
+#[test]
+fn a_library_that_spins_for_ever_is_killed_at_the_deadline() {
+    let studio = Studio::new();
+    studio.server.fault(Fault::NoRoom);
+    let deadlines = Deadlines { open: Duration::from_secs(2), ..Deadlines::default() };
+    let began = Instant::now();
+    let error = HostedCamera::open_with(program(), Some(&studio.server.port()), deadlines).err().unwrap();
+    assert!(matches!(error, CameraError::Deadline { .. }), "{error}");
+    assert!(began.elapsed() < Duration::from_secs(4), "took {:?}", began.elapsed());
+    studio.server.mend();
+    assert!(studio.camera().shoot().unwrap().bytes == blob(0));
+}
+
+#[test]
+fn a_killed_host_is_started_again_by_the_next_shot() {
+    let studio = Studio::new();
+    let mut camera = studio.camera();
+    camera.shoot().unwrap();
+    let id = camera.host_id().unwrap();
+    assert!(std::process::Command::new("kill").args(["-9", &id.to_string()]).status().unwrap().success());
+    assert!(camera.shoot().unwrap().bytes == blob(1));
+    assert_ne!(camera.host_id(), Some(id));
+}
+
+#[test]
+fn a_busy_camera_is_asked_again() {
+    let studio = Studio::new();
+    let mut camera = studio.camera();
+    studio.server.fault(Fault::BusyOnce);
+    assert!(camera.shoot().unwrap().bytes == blob(0));
+    assert_eq!(studio.frames(), 1);
+}
+
+#[test]
+fn a_link_lost_in_a_download_fails_that_shot_and_no_other() {
+    let studio = Studio::new();
+    let mut camera = studio.camera();
+    studio.server.fault(Fault::DropInDownload);
+    let error = camera.shoot().unwrap_err();
+    assert!(matches!(error, CameraError::Refused { .. } | CameraError::Deadline { .. }), "{error}");
+    assert!(camera.shoot().unwrap().bytes == blob(1), "never the frame of the shot before");
+}
+
+#[test]
+fn a_port_where_nobody_listens_is_not_found() {
+    let studio = Studio::new();
+    let port = studio.server.port();
+    drop(studio);
+    let error = HostedCamera::open_with(program(), Some(&port), Deadlines::default()).err().unwrap();
+    assert!(matches!(&error, CameraError::NotFound { hint } if hint.contains(&port)), "{error}");
+}
+
+#[test]
+fn cameras_are_listed_by_a_process_that_goes_away() {
+    for camera in list_with(program()).unwrap() {
+        assert!(camera.port.contains(':'), "{camera:?}");
+    }
+}
+
+#[test]
+fn a_host_started_by_hand_says_who_starts_it() {
+    let run = std::process::Command::new(program())
+        .arg("camera-host")
+        .stdin(std::process::Stdio::null())
+        .output()
+        .unwrap();
+    assert_eq!(run.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&run.stderr).contains("started by unlit itself"));
+}
