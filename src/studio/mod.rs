@@ -6,5 +6,6 @@
 //! [`crate::light`].
 
 mod wires;
+pub mod world;
 
 pub use wires::{Exposure, SyncContact, View};
