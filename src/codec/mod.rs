@@ -1,1 +1,7 @@
 //! The only caller of file decoders and encoders.
+
+pub mod asset;
+pub mod exr_image;
+pub mod obj;
+pub mod png;
+pub mod tiff16;

@@ -1,10 +1,13 @@
 //! The scene: meshes and cameras in metres, one right-handed world, and the importers that bring them there.
 
 mod camera;
+pub mod import;
 mod mesh;
+mod mesh_file;
 
 pub use camera::{Camera, Distortion, Intrinsics};
 pub use mesh::Mesh;
+pub use mesh_file::{read_obj, write_obj};
 
 use serde::{Deserialize, Serialize};
 

@@ -1,0 +1,87 @@
+//! Camera files of other programs agree with each other in our conventions.
+
+use std::path::PathBuf;
+use unlit::scene::Camera;
+use unlit::scene::import::{blocks_exchange, colmap_text};
+
+/// A file of the shared samples; fails by name where they are not laid out.
+pub fn shared(path: &str) -> PathBuf {
+    let root = std::env::var_os("UNLIT_SHARED")
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared")), PathBuf::from);
+    let path = root.join(path);
+    assert!(path.exists(), "{} is missing; set UNLIT_SHARED to the folder of shared samples", path.display());
+    path
+}
+
+fn text(path: &str) -> String {
+    std::fs::read_to_string(shared(path)).unwrap()
+}
+
+fn blocks(path: &str) -> Vec<Camera> {
+    sorted(blocks_exchange::parse(&text(path)).unwrap().cameras)
+}
+
+fn colmap(folder: &str) -> Vec<Camera> {
+    let (cameras, images) = (text(&format!("{folder}/cameras.txt")), text(&format!("{folder}/images.txt")));
+    sorted(colmap_text::parse(&cameras, &images).unwrap().cameras)
+}
+
+fn sorted(mut cameras: Vec<Camera>) -> Vec<Camera> {
+    cameras.sort_by(|a, b| a.name.cmp(&b.name));
+    cameras
+}
+
+/// Largest differences: rotation matrix entries, centres, and lens parameters.
+fn differences(a: &[Camera], b: &[Camera]) -> (f64, f64, f64) {
+    assert_eq!(a.len(), b.len());
+    let mut worst = (0.0_f64, 0.0_f64, 0.0_f64);
+    for (a, b) in a.iter().zip(b) {
+        assert_eq!(a.name, b.name);
+        assert_eq!((a.intrinsics.width, a.intrinsics.height), (b.intrinsics.width, b.intrinsics.height));
+        let turn = (a.world_from_camera.matrix3 - b.world_from_camera.matrix3).to_cols_array();
+        worst.0 = turn.into_iter().fold(worst.0, |w, d| w.max(d.abs()));
+        worst.1 = worst.1.max(a.centre().distance(b.centre()));
+        let lens = |c: &Camera| {
+            let (i, d) = (c.intrinsics, c.intrinsics.distortion);
+            [i.principal.x, i.principal.y, d.k1, d.k2, d.p1, d.p2, d.k3]
+        };
+        for (p, q) in lens(a).into_iter().zip(lens(b)) {
+            worst.2 = worst.2.max((p - q).abs());
+        }
+    }
+    worst
+}
+
+#[test]
+fn angles_matrices_and_colmap_tell_the_same_flowerpot() {
+    let angles = blocks("data/formats/blocksexchange_opk.xml");
+    let matrices = blocks("data/formats/blocksexchange_matrix.xml");
+    let colmap = colmap("data/formats/colmap_text");
+    assert_eq!(angles.len(), 25);
+    for other in [&matrices, &colmap] {
+        let (turn, centre, lens) = differences(&angles, other);
+        println!("rotation {turn:.1e}, centre {centre:.1e}, lens {lens:.1e}");
+        assert!(turn < 1e-11 && centre < 1e-10 && lens < 1e-15, "{turn} {centre} {lens}");
+    }
+    // BlocksExchange has one focal length and no aspect ratio here: the sample's is COLMAP's fx.
+    assert!((angles[0].intrinsics.focal.x - colmap[0].intrinsics.focal.x).abs() < 1e-5);
+}
+
+#[test]
+fn both_descriptions_of_the_birdbath_agree() {
+    let xml = blocks("scenes/birdbath/geometry/cameras.xml");
+    let colmap = colmap("scenes/birdbath/geometry/colmap");
+    assert_eq!(xml.len(), 24);
+    let (turn, centre, lens) = differences(&xml, &colmap);
+    println!("rotation {turn:.1e}, centre {centre:.1e}, lens {lens:.1e}");
+    assert!(turn < 1e-6 && centre < 1e-6 && lens < 1e-12, "{turn} {centre} {lens}");
+    for (a, b) in xml.iter().zip(&colmap) {
+        assert!((a.intrinsics.focal - b.intrinsics.focal).length() < 1e-9);
+    }
+}
+
+#[test]
+fn an_agisoft_file_is_recognised_as_something_else() {
+    let error = blocks_exchange::parse(&text("data/formats/metashape_road.xml")).unwrap_err().to_string();
+    assert!(error.contains("BlocksExchange") && error.contains("document"), "{error}");
+}
