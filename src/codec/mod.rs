@@ -5,3 +5,6 @@ pub mod exr_image;
 pub mod obj;
 pub mod png;
 pub mod tiff16;
+pub mod dng;
+pub mod exif;
+pub mod raw;

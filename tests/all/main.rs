@@ -2,3 +2,4 @@
 
 mod floors;
 mod scene_import;
+mod raw;

@@ -1,0 +1,145 @@
+//! From a whole sensor plane and what the file says of it to a [`Photo`]: crop to the active area, black
+//! level from masked pixels, else from the file, else from the decoder's table.
+
+use super::{Masked, Photo, RawError};
+use crate::pair::Settings;
+use crate::photometry::{Cfa, LevelSource, Levels, Mosaic};
+use crate::raster::Image;
+
+/// Sites a CFA position must have in the masked border before their mean is trusted: with some 5 DN of
+/// read noise the mean is then good to 0.3 DN.
+const MIN_MASKED_SITES: usize = 256;
+
+/// A rectangle of sensor sites: rows `top..bottom`, columns `left..right`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Rect {
+    pub(super) top: usize,
+    pub(super) left: usize,
+    pub(super) bottom: usize,
+    pub(super) right: usize,
+}
+
+impl Rect {
+    fn contains(&self, x: usize, y: usize) -> bool {
+        (self.left..self.right).contains(&x) && (self.top..self.bottom).contains(&y)
+    }
+}
+
+/// Everything that is read off the sensor, masked border included, row-major.
+pub(super) struct Plane {
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) dn: Vec<u16>,
+}
+
+/// What file or table say of the plane. Levels are indexed from the active area's first site.
+pub(super) struct Description {
+    pub(super) active: Rect,
+    pub(super) cfa: Cfa,
+    pub(super) masked: Vec<Rect>,
+    pub(super) black: [[f32; 2]; 2],
+    pub(super) saturation: [[f32; 2]; 2],
+    /// Where black and saturation came from, should there be no masked pixels.
+    pub(super) source: LevelSource,
+}
+
+impl Description {
+    /// Refuses areas outside a plane of `width` x `height`, and levels that make no sense.
+    pub(super) fn check(&self, what: &str, width: usize, height: usize) -> Result<(), RawError> {
+        let damaged = |why: String| Err(RawError::Damaged { what: what.to_owned(), why });
+        for rect in self.masked.iter().chain([&self.active]) {
+            let Rect { top, left, bottom, right } = *rect;
+            if top >= bottom || left >= right || bottom > height || right > width {
+                return damaged(format!(
+                    "the area of rows {top} to {bottom}, columns {left} to {right} is not inside the {width} x {height} sensor"
+                ));
+            }
+        }
+        if self.active.right - self.active.left < 2 || self.active.bottom - self.active.top < 2 {
+            return damaged("its active area is smaller than one 2x2 cell".to_owned());
+        }
+        let mut colours: Vec<u8> = self.cfa.0.concat();
+        colours.sort_unstable();
+        if colours != [0, 1, 1, 2] {
+            return Err(RawError::Pattern { what: what.to_owned(), pattern: format!("{:?}", self.cfa.0) });
+        }
+        Ok(())
+    }
+}
+
+/// Cuts the active area out of the plane and settles the levels.
+pub(super) fn develop(
+    what: &str,
+    plane: Plane,
+    description: &Description,
+    settings: Settings,
+) -> Result<Photo, RawError> {
+    description.check(what, plane.width, plane.height)?;
+    let masked = measure_masked(&plane, description);
+    let (black, black_source) = match &masked {
+        Some(border) => (border.mean, LevelSource::MaskedPixels),
+        None => (description.black, description.source),
+    };
+    let levels = Levels {
+        black,
+        saturation: description.saturation,
+        black_source,
+        saturation_source: description.source,
+    };
+    for (black, saturation) in black.concat().into_iter().zip(levels.saturation.concat()) {
+        if !(black >= 0.0 && black + 1.0 < saturation) {
+            return Err(RawError::Damaged {
+                what: what.to_owned(),
+                why: format!("its black level {black} is not below its saturation {saturation}"),
+            });
+        }
+    }
+    let Rect { top, left, bottom, right } = description.active;
+    let whole = (top, left, bottom, right) == (0, 0, plane.height, plane.width);
+    let pixels = if whole {
+        plane.dn
+    } else {
+        let rows = plane.dn.chunks_exact(plane.width).take(bottom).skip(top);
+        rows.flat_map(|row| &row[left..right]).copied().collect()
+    };
+    let dn = Image::from_pixels(right - left, bottom - top, pixels).ok_or_else(|| RawError::Damaged {
+        what: what.to_owned(),
+        why: "its sensor data has not as many sites as its size says".to_owned(),
+    })?;
+    Ok(Photo { mosaic: Mosaic { dn, cfa: description.cfa, levels }, settings, masked })
+}
+
+/// Mean and spread of the masked sites outside the active area, per position of the 2x2 array counted from
+/// the active area's first site.
+fn measure_masked(plane: &Plane, description: &Description) -> Option<Masked> {
+    let (mut sums, mut squares) = ([[0u64; 2]; 2], [[0u64; 2]; 2]);
+    let mut sites = [[0usize; 2]; 2];
+    let active = description.active;
+    for (i, area) in description.masked.iter().enumerate() {
+        for y in area.top..area.bottom {
+            for x in area.left..area.right {
+                let counted = description.masked[..i].iter().any(|earlier| earlier.contains(x, y));
+                if counted || active.contains(x, y) {
+                    continue;
+                }
+                let dn = u64::from(plane.dn[y * plane.width + x]);
+                let (row, column) = ((y + active.top) & 1, (x + active.left) & 1);
+                sums[row][column] += dn;
+                squares[row][column] += dn * dn;
+                sites[row][column] += 1;
+            }
+        }
+    }
+    if sites.concat().into_iter().any(|n| n < MIN_MASKED_SITES) {
+        return None;
+    }
+    let mut masked = Masked { mean: [[0.0; 2]; 2], standard_deviation: [[0.0; 2]; 2], sites };
+    for (row, column) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+        let n = sites[row][column] as f64;
+        let mean = sums[row][column] as f64 / n;
+        let variance = (squares[row][column] as f64 / n - mean * mean).max(0.0);
+        masked.mean[row][column] = mean as f32;
+        masked.standard_deviation[row][column] = variance.sqrt() as f32;
+    }
+    Some(masked)
+}
