@@ -1,5 +1,7 @@
 //! The command line: one file a command, each parses, calls one function of the library and prints.
 
+mod studio;
+
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -51,10 +53,16 @@ struct Cli {
 }
 
 #[derive(Subcommand)]
-enum Command {}
+enum Command {
+    /// The simulated studio's own housekeeping.
+    #[command(subcommand)]
+    Studio(studio::StudioCommand),
+}
 
 /// Parses `args` (the program's name first) and runs the command.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
     let cli = Cli::parse_from(args);
-    match cli.command {}
+    match cli.command {
+        Command::Studio(command) => studio::run(command),
+    }
 }

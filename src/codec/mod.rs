@@ -1,10 +1,11 @@
 //! The only caller of file decoders and encoders.
 
 pub mod asset;
+pub mod dng;
+pub mod exif;
+pub mod exr_half;
 pub mod exr_image;
 pub mod obj;
 pub mod png;
-pub mod tiff16;
-pub mod dng;
-pub mod exif;
 pub mod raw;
+pub mod tiff16;

@@ -34,7 +34,7 @@ pub(super) struct Surface {
 }
 
 /// A glowing sphere, seen by surfaces only.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Lamp {
     /// Centre, metres, world frame.
     pub(super) centre: Vec3,
@@ -46,7 +46,7 @@ pub(super) struct Lamp {
 
 /// The ring flash: an annulus in the plane of the lens, centred on it, one-sided Lambertian emitter towards +z of
 /// the camera frame.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Ring {
     /// Inner radius, metres.
     pub(super) inner: f32,
@@ -122,12 +122,14 @@ impl Tracer {
             .is_some_and(|hit| self.facets[hit.triangle as usize].surface == 0)
     }
 
-    /// Follows one path from the camera. `ring` comes with the camera's pose.
+    /// Follows one path from the camera. `ring` comes with the camera's pose; without `room`, the room's light
+    /// is left out.
     pub(super) fn trace(
         &self,
         origin: Vec3,
         direction: Vec3,
         ring: Option<(&Ring, &DAffine3)>,
+        room: bool,
         sampler: &mut Sampler,
     ) -> Seen {
         let mut seen = Seen::default();
@@ -135,12 +137,16 @@ impl Tracer {
         let (mut origin, mut direction) = (origin, direction.normalize());
         for bounce in 0.. {
             let Some(hit) = self.kernel.nearest(origin, direction, 0.0, f32::INFINITY) else {
-                accumulate(&mut seen.ambient, &throughput, &self.glow, 1.0);
+                if room {
+                    accumulate(&mut seen.ambient, &throughput, &self.glow, 1.0);
+                }
                 break;
             };
             let facet = &self.facets[hit.triangle as usize];
             let surface = &self.surfaces[facet.surface];
-            accumulate(&mut seen.ambient, &throughput, &surface.emission, 1.0);
+            if room {
+                accumulate(&mut seen.ambient, &throughput, &surface.emission, 1.0);
+            }
             let [a, b, c] = self.kernel.corners(hit.triangle);
             let w = 1.0 - hit.u - hit.v;
             let normal = if facet.normal.dot(direction) > 0.0 { -facet.normal } else { facet.normal };
@@ -159,7 +165,7 @@ impl Tracer {
                 let light = self.from_ring(point, normal, ring, pose, sampler.next());
                 accumulate(&mut seen.flash, &throughput, &ring.radiance, light / PI);
             }
-            if !self.lamps.is_empty() {
+            if room && !self.lamps.is_empty() {
                 let choice = sampler.next().x;
                 let lamp =
                     &self.lamps[((choice * self.lamps.len() as f32) as usize).min(self.lamps.len() - 1)];
@@ -287,7 +293,7 @@ mod tests {
         for index in 0..n {
             let mut sampler = Sampler::new(3, index);
             let ring = ring.map(|r| (r, &DAffine3::IDENTITY));
-            sum.add(&tracer.trace(Vec3::ZERO, direction, ring, &mut sampler), 1.0 / n as f32);
+            sum.add(&tracer.trace(Vec3::ZERO, direction, ring, true, &mut sampler), 1.0 / n as f32);
         }
         sum
     }

@@ -22,7 +22,7 @@ pub(super) struct Effort {
 }
 
 /// The effort behind the committed renders.
-pub(super) const FULL: Effort = Effort { object: 128, elsewhere: 32, seed: 1 };
+pub(super) const FULL: Effort = Effort { object: 256, elsewhere: 32, seed: 1 };
 
 /// One stop's light, before lens and sensor.
 #[derive(Clone, Debug, PartialEq)]
@@ -82,12 +82,17 @@ fn gather(
     rays: u32,
 ) -> Seen {
     let eye = camera.centre().as_vec3();
+    // The room's light is the same in both frames of a pair and goes out with the subtraction: fewer rays do.
+    let room_rays = rays.min(64.max(rays / 4));
     let mut mean = Seen::default();
     for index in 0..rays {
         let mut sampler = Sampler::new(seed, index);
         let place = DVec2::new(x as f64, y as f64) + sampler.next().as_dvec2();
         let direction = camera.ray(place).as_vec3();
-        let seen = tracer.trace(eye, direction, Some((ring, &camera.world_from_camera)), &mut sampler);
+        let room = index < room_rays;
+        let mut seen =
+            tracer.trace(eye, direction, Some((ring, &camera.world_from_camera)), room, &mut sampler);
+        seen.ambient = seen.ambient.map(|a| a * rays as f32 / room_rays as f32);
         mean.add(&seen, 1.0 / rays as f32);
     }
     mean

@@ -33,12 +33,23 @@ pub(super) const INTRINSICS: Intrinsics = Intrinsics {
 /// Half the floor's width, metres.
 const FLOOR: f64 = 1.2;
 
-/// Two circles round the object: stops, elevation in radians, distance from the point looked at in metres, first
-/// stop's azimuth in radians.
-const CIRCLES: [(usize, f64, f64, f64); 2] = [(8, 0.26, 0.80, -1.50), (6, 0.86, 0.82, -1.30)];
+/// Cameras on a circle round the object, all looking at one point on the object's axis.
+struct Circle {
+    stops: usize,
+    /// Height of the point looked at, metres.
+    target: f64,
+    /// Of the cameras above the point looked at, radians.
+    elevation: f64,
+    /// From the point looked at, metres.
+    distance: f64,
+    /// Azimuth of the first stop, radians.
+    first: f64,
+}
 
-/// What every camera looks at, metres.
-const TARGET: DVec3 = DVec3::new(0.0, 0.0, 0.152);
+const CIRCLES: [Circle; 2] = [
+    Circle { stops: 8, target: 0.148, elevation: 0.26, distance: 0.80, first: -1.50 },
+    Circle { stops: 6, target: 0.168, elevation: 0.86, distance: 0.82, first: -1.30 },
+];
 
 /// The object and the floor, in this order.
 pub(super) fn surfaces() -> [Surface; 2] {
@@ -64,15 +75,16 @@ pub(super) fn tracer(surfaces: &[Surface]) -> Tracer {
 /// Cameras of all stops in the order of the walk; names `0001` and on, as the pairs are numbered.
 pub(super) fn cameras() -> Vec<Camera> {
     let mut cameras = Vec::new();
-    for (count, elevation, distance, first) in CIRCLES {
-        for k in 0..count {
-            let azimuth: f64 = first + std::f64::consts::TAU * k as f64 / count as f64;
+    for Circle { stops, target, elevation, distance, first } in CIRCLES {
+        let target = DVec3::Z * target;
+        for k in 0..stops {
+            let azimuth: f64 = first + std::f64::consts::TAU * k as f64 / stops as f64;
             let from =
                 DVec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
             cameras.push(Camera {
                 name: format!("{:04}", cameras.len() + 1),
                 intrinsics: INTRINSICS,
-                world_from_camera: looking(TARGET + from * distance, TARGET),
+                world_from_camera: looking(target + from * distance, target),
             });
         }
     }
