@@ -1,6 +1,9 @@
 //! The command line: one file a command, each parses, calls one function of the library and prints.
 
 mod studio;
+mod evaluate;
+mod import;
+mod import_scene;
 
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
@@ -57,6 +60,11 @@ enum Command {
     /// The simulated studio's own housekeeping.
     #[command(subcommand)]
     Studio(studio::StudioCommand),
+    /// Bring what was made elsewhere into a session.
+    #[command(subcommand)]
+    Import(import::Import),
+    /// Compare a session's reflectance with a known truth.
+    Evaluate(evaluate::Args),
 }
 
 /// Parses `args` (the program's name first) and runs the command.
@@ -64,5 +72,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
     let cli = Cli::parse_from(args);
     match cli.command {
         Command::Studio(command) => studio::run(command),
+        Command::Import(what) => import::run(what),
+        Command::Evaluate(args) => evaluate::run(args),
     }
 }

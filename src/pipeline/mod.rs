@@ -1,1 +1,4 @@
 //! Files to results, in stages keyed by the digest of their inputs.
+
+pub mod evaluate;
+pub mod scene;

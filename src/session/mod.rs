@@ -1,1 +1,285 @@
 //! The session folder: layout, journal, atomic writes, checksums, lock.
+//!
+//! A photographer can read it without us: `pairs/NNNN/{off,on}.EXT` are the camera's own files, never
+//! altered, `pair.json` beside them says what they are. A pair's folder gets its final name only when
+//! everything in it is on the disk, so that killing the program at any moment loses nothing that was
+//! acknowledged and leaves nothing half-done under a name that counts. One program at a time may write
+//! (`.lock`, held as long as the [`Session`] lives); several may read together.
+
+mod commit;
+mod error;
+mod journal;
+pub mod store;
+
+pub use commit::{Commit, NewFrame, NewPair};
+pub use error::SessionError;
+pub use journal::{Entry, Event};
+
+use crate::pair::PairRecord;
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// The layout that this program writes.
+pub const SCHEMA: u32 = 1;
+
+const MANIFEST: &str = "session.json";
+const JOURNAL: &str = "journal.jsonl";
+const LOCK: &str = ".lock";
+const PAIR_RECORD: &str = "pair.json";
+const FOLDERS: [&str; 5] = ["pairs", "calibration", "scene", "derived", "model"];
+
+/// `session.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// Version of the layout.
+    pub schema: u32,
+    /// The session's name.
+    pub name: String,
+    /// When it was made, UTC.
+    pub created: String,
+    /// The software that made it.
+    pub software: String,
+}
+
+/// An open session; closing it (dropping) gives the lock back.
+#[derive(Debug)]
+pub struct Session {
+    path: PathBuf,
+    manifest: Manifest,
+    /// What commits need to know; `None` when open for reading.
+    numbering: Option<Mutex<Numbering>>,
+    /// Held, never read: the lock lives as long as the file is open.
+    _lock: File,
+}
+
+/// Numbers and names that are taken.
+#[derive(Debug, Default)]
+struct Numbering {
+    next: u32,
+    /// By name: number and digests (off, on).
+    names: HashMap<String, (u32, String, String)>,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Access {
+    Alone,
+    Shared,
+}
+
+impl Session {
+    /// Makes a session in a new or empty folder and opens it for writing.
+    pub fn create(path: &Path, name: &str) -> Result<Session, SessionError> {
+        std::fs::create_dir_all(path).map_err(SessionError::io(path))?;
+        // What an interrupted `create` may have left is ours to complete.
+        let ours = |name: &str| {
+            name == LOCK
+                || name == JOURNAL
+                || FOLDERS.contains(&name)
+                || name.starts_with(store::TEMPORARY_PREFIX)
+        };
+        for entry in std::fs::read_dir(path).map_err(SessionError::io(path))? {
+            let entry = entry.map_err(SessionError::io(path))?;
+            if !ours(&entry.file_name().to_string_lossy()) {
+                return Err(SessionError::NotEmpty { path: path.to_owned() });
+            }
+        }
+        let lock = take_lock(path, Access::Alone)?;
+        for folder in FOLDERS.map(|f| path.join(f)) {
+            std::fs::create_dir_all(&folder).map_err(SessionError::io(&folder))?;
+        }
+        let manifest = Manifest {
+            schema: SCHEMA,
+            name: name.to_owned(),
+            created: journal::now(),
+            software: concat!("unlit ", env!("CARGO_PKG_VERSION")).to_owned(),
+        };
+        journal::append(&path.join(JOURNAL), Event::SessionCreated)?;
+        let file = path.join(MANIFEST);
+        store::write_atomic(&file, &to_json(&file, &manifest)?).map_err(SessionError::io(&file))?;
+        if let Some(parent) = path.canonicalize().ok().as_deref().and_then(Path::parent) {
+            store::sync_folder(parent).map_err(SessionError::io(parent))?;
+        }
+        Self::load(path, lock, Access::Alone)
+    }
+
+    /// Opens a session for writing; nobody else may have it open. Removes what a crash left behind.
+    pub fn open(path: &Path) -> Result<Session, SessionError> {
+        require_manifest(path)?;
+        let lock = take_lock(path, Access::Alone)?;
+        store::remove_temporaries(path).map_err(SessionError::io(path))?;
+        journal::mend_tail(&path.join(JOURNAL))?;
+        Self::load(path, lock, Access::Alone)
+    }
+
+    /// Opens a session for reading, together with other readers.
+    pub fn open_shared(path: &Path) -> Result<Session, SessionError> {
+        require_manifest(path)?;
+        let lock = take_lock(path, Access::Shared)?;
+        Self::load(path, lock, Access::Shared)
+    }
+
+    fn load(path: &Path, lock: File, access: Access) -> Result<Session, SessionError> {
+        let file = path.join(MANIFEST);
+        let manifest: Manifest = from_json(&file)?;
+        if manifest.schema > SCHEMA {
+            let path = path.to_owned();
+            return Err(SessionError::TooNew { path, found: manifest.schema, known: SCHEMA });
+        }
+        let mut session = Session { path: path.to_owned(), manifest, numbering: None, _lock: lock };
+        if access == Access::Alone {
+            session.numbering = Some(Mutex::new(session.count()?));
+        }
+        Ok(session)
+    }
+
+    /// Numbers spent and names taken, out of the folders and the journal: a pair's number is never used
+    /// again, not even when its folder was moved away.
+    fn count(&self) -> Result<Numbering, SessionError> {
+        let mut numbering = Numbering { next: 1, names: HashMap::new() };
+        for record in self.pairs()? {
+            numbering.next = numbering.next.max(record.number.saturating_add(1));
+            numbering.names.insert(record.name, (record.number, record.off.blake3, record.on.blake3));
+        }
+        for entry in self.journal()? {
+            if let Event::PairIntended { number, .. } = entry.event {
+                numbering.next = numbering.next.max(number.saturating_add(1));
+            }
+        }
+        Ok(numbering)
+    }
+
+    fn numbering(&self) -> Result<MutexGuard<'_, Numbering>, SessionError> {
+        let numbering =
+            self.numbering.as_ref().ok_or_else(|| SessionError::ReadOnly { path: self.path.clone() })?;
+        // Whoever panicked inside changed nothing: numbers and names are written last.
+        Ok(numbering.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// The session's folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// `session.json`.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    /// `pairs/`.
+    pub fn pairs_dir(&self) -> PathBuf {
+        self.path.join("pairs")
+    }
+
+    /// `pairs/NNNN`.
+    pub fn pair_dir(&self, number: u32) -> PathBuf {
+        self.pairs_dir().join(format!("{number:04}"))
+    }
+
+    /// `calibration/`: shots and fitted results.
+    pub fn calibration_dir(&self) -> PathBuf {
+        self.path.join("calibration")
+    }
+
+    /// `scene/`: imported cameras and meshes.
+    pub fn scene_dir(&self) -> PathBuf {
+        self.path.join("scene")
+    }
+
+    /// `derived/`: anything that can be made again.
+    pub fn derived_dir(&self) -> PathBuf {
+        self.path.join("derived")
+    }
+
+    /// `model/`: the results.
+    pub fn model_dir(&self) -> PathBuf {
+        self.path.join("model")
+    }
+
+    /// The number that the next pair gets, unless another is committed in between.
+    pub fn next_pair_number(&self) -> Result<u32, SessionError> {
+        Ok(self.numbering()?.next)
+    }
+
+    /// All pairs, ascending by number. A pair whose record is damaged is an error that names it.
+    pub fn pairs(&self) -> Result<Vec<PairRecord>, SessionError> {
+        let folder = self.pairs_dir();
+        let mut numbers = Vec::new();
+        for entry in std::fs::read_dir(&folder).map_err(SessionError::io(&folder))? {
+            let name = entry.map_err(SessionError::io(&folder))?.file_name();
+            let name = name.to_string_lossy();
+            if name.len() >= 4 && name.bytes().all(|b| b.is_ascii_digit()) {
+                numbers.extend(name.parse::<u32>().ok());
+            }
+        }
+        numbers.sort_unstable();
+        numbers.into_iter().map(|number| self.pair(number)).collect()
+    }
+
+    /// One pair's record.
+    pub fn pair(&self, number: u32) -> Result<PairRecord, SessionError> {
+        let file = self.pair_dir(number).join(PAIR_RECORD);
+        let record: PairRecord = from_json(&file)?;
+        if record.number != number {
+            let why = format!("it says that it is pair {}, not {number}", record.number);
+            return Err(SessionError::Damaged { path: file, why });
+        }
+        Ok(record)
+    }
+
+    /// The whole journal, oldest entry first.
+    pub fn journal(&self) -> Result<Vec<Entry>, SessionError> {
+        journal::read(&self.path.join(JOURNAL))
+    }
+
+    /// Appends an event to the journal; on the disk when this returns.
+    pub fn record(&self, event: Event) -> Result<(), SessionError> {
+        // Appending needs the right to write, and no other line in between.
+        let _alone = self.numbering()?;
+        journal::append(&self.path.join(JOURNAL), event)
+    }
+}
+
+fn require_manifest(path: &Path) -> Result<(), SessionError> {
+    if path.join(MANIFEST).is_file() {
+        Ok(())
+    } else {
+        Err(SessionError::NotASession { path: path.to_owned() })
+    }
+}
+
+fn take_lock(path: &Path, access: Access) -> Result<File, SessionError> {
+    let file = path.join(LOCK);
+    let lock = match access {
+        Access::Alone => OpenOptions::new().create(true).append(true).open(&file),
+        // A reader may have no right to write; an older session may have no lock file yet.
+        Access::Shared => {
+            File::open(&file).or_else(|_| OpenOptions::new().create(true).append(true).open(&file))
+        }
+    }
+    .map_err(SessionError::io(&file))?;
+    let taken = match access {
+        Access::Alone => lock.try_lock(),
+        Access::Shared => lock.try_lock_shared(),
+    };
+    match taken {
+        Ok(()) => Ok(lock),
+        Err(TryLockError::WouldBlock) => Err(SessionError::Locked { path: path.to_owned() }),
+        Err(TryLockError::Error(source)) => Err(SessionError::Io { path: file, source }),
+    }
+}
+
+fn from_json<T: serde::de::DeserializeOwned>(file: &Path) -> Result<T, SessionError> {
+    let bytes = std::fs::read(file).map_err(SessionError::io(file))?;
+    serde_json::from_slice(&bytes)
+        .map_err(|e| SessionError::Damaged { path: file.to_owned(), why: e.to_string() })
+}
+
+fn to_json<T: Serialize>(file: &Path, value: &T) -> Result<Vec<u8>, SessionError> {
+    let mut bytes = serde_json::to_vec_pretty(value)
+        .map_err(|e| SessionError::Damaged { path: file.to_owned(), why: e.to_string() })?;
+    bytes.push(b'\n');
+    Ok(bytes)
+}

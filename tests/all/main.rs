@@ -1,5 +1,7 @@
 //! The one integration-test binary; a module a subject.
 
+mod evaluate;
 mod floors;
 mod scene_import;
 mod raw;
+mod session;

@@ -1,0 +1,139 @@
+//! A pair enters the session: both originals byte for byte, `pair.json`, all or nothing.
+
+use super::{Event, JOURNAL, PAIR_RECORD, Session, SessionError, journal, store, to_json};
+use crate::pair::{FlashRecord, FrameRecord, PairRecord, Reason, Settings, Verdict};
+use std::path::Path;
+
+/// One original file of a new pair.
+#[derive(Clone, Debug)]
+pub struct NewFrame<'a> {
+    /// The file's bytes as the camera wrote them.
+    pub bytes: &'a [u8],
+    /// The name under which the camera or the photographer had it; gives the extension.
+    pub original_name: &'a str,
+    /// Settings out of its EXIF.
+    pub settings: Settings,
+}
+
+/// A pair to be stored.
+#[derive(Clone, Debug)]
+pub struct NewPair<'a> {
+    /// The photo's file stem as imported; `None` for a pair just shot, which is named by its number.
+    pub name: Option<&'a str>,
+    /// The frame without flash.
+    pub off: NewFrame<'a>,
+    /// The frame with flash.
+    pub on: NewFrame<'a>,
+    /// What the checks found wrong; none means accepted.
+    pub reasons: Vec<Reason>,
+    /// The flash controller's account, if there is one.
+    pub flash: Option<FlashRecord>,
+}
+
+/// What became of a pair.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Commit {
+    /// It is on the disk under a new number.
+    Stored(PairRecord),
+    /// The same photographs are there under the same name; nothing was written.
+    AlreadyThere(PairRecord),
+}
+
+impl Session {
+    /// Stores a pair; when this returns, it is on the disk. A name that is taken by the same two files
+    /// changes nothing; taken by others, it is an error.
+    pub fn commit_pair(&self, new: NewPair) -> Result<Commit, SessionError> {
+        let mut numbering = self.numbering()?;
+        let (off_digest, on_digest) = (store::digest(new.off.bytes), store::digest(new.on.bytes));
+        let number_free = |number: &u32| !numbering.names.contains_key(&format!("{number:04}"));
+        let (number, name) = match new.name {
+            Some(name) => (numbering.next, checked_name(name)?),
+            // A shot pair skips the numbers that imported pairs have for names.
+            None => {
+                let number = (numbering.next..=u32::MAX).find(number_free).unwrap_or(u32::MAX);
+                (number, format!("{number:04}"))
+            }
+        };
+        if let Some((number, off, on)) = numbering.names.get(&name) {
+            let number = *number;
+            return if (off, on) == (&off_digest, &on_digest) {
+                Ok(Commit::AlreadyThere(self.pair(number)?))
+            } else {
+                Err(SessionError::DuplicateName { name, number })
+            };
+        }
+        let off = frame_record("off", &new.off, off_digest);
+        let on = frame_record("on", &new.on, on_digest);
+        let record = PairRecord {
+            number,
+            name,
+            verdict: if new.reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected },
+            reasons: new.reasons,
+            off,
+            on,
+            flash: new.flash,
+        };
+
+        let journal_file = self.path.join(JOURNAL);
+        journal::append(&journal_file, Event::PairIntended { number, name: record.name.clone() })?;
+        numbering.next = number.saturating_add(1);
+        self.write_pair(&record, new.off.bytes, new.on.bytes)?;
+        numbering
+            .names
+            .insert(record.name.clone(), (number, record.off.blake3.clone(), record.on.blake3.clone()));
+        let (name, verdict) = (record.name.clone(), record.verdict);
+        journal::append(&journal_file, Event::PairCommitted { number, name, verdict })?;
+        Ok(Commit::Stored(record))
+    }
+
+    /// Fills a folder under a temporary name, then gives it its own. A folder of that name, should there be
+    /// one, is not overwritten: the rename fails.
+    fn write_pair(&self, record: &PairRecord, off: &[u8], on: &[u8]) -> Result<(), SessionError> {
+        let pairs = self.pairs_dir();
+        let aside = store::temporary_path(&pairs);
+        std::fs::create_dir(&aside).map_err(SessionError::io(&aside))?;
+        let json = to_json(&self.pair_dir(record.number).join(PAIR_RECORD), record)?;
+        for (name, bytes) in
+            [(record.off.file.as_str(), off), (record.on.file.as_str(), on), (PAIR_RECORD, json.as_slice())]
+        {
+            let file = aside.join(name);
+            store::write_synced(&file, bytes).map_err(SessionError::io(&file))?;
+        }
+        store::sync_folder(&aside).map_err(SessionError::io(&aside))?;
+        let own = self.pair_dir(record.number);
+        std::fs::rename(&aside, &own).map_err(SessionError::io(&own))?;
+        store::sync_folder(&pairs).map_err(SessionError::io(&pairs))
+    }
+
+    /// Whether a pair's two originals are still byte for byte what was stored.
+    pub fn originals_intact(&self, record: &PairRecord) -> Result<bool, SessionError> {
+        for frame in [&record.off, &record.on] {
+            let file = self.pair_dir(record.number).join(&frame.file);
+            if store::digest_file(&file).map_err(SessionError::io(&file))? != frame.blake3 {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+}
+
+fn frame_record(role: &str, frame: &NewFrame, blake3: String) -> FrameRecord {
+    let extension = Path::new(frame.original_name).extension().map(|e| e.to_string_lossy().to_lowercase());
+    let extension = extension.filter(|e| e.len() <= 8 && e.bytes().all(|b| b.is_ascii_alphanumeric()));
+    FrameRecord {
+        file: format!("{role}.{}", extension.as_deref().unwrap_or("raw")),
+        original_name: frame.original_name.to_owned(),
+        bytes: frame.bytes.len() as u64,
+        blake3,
+        settings: frame.settings.clone(),
+    }
+}
+
+/// Names become file names in `derived/` and elsewhere.
+fn checked_name(name: &str) -> Result<String, SessionError> {
+    let bad = name.is_empty()
+        || name.len() > 200
+        || name.starts_with('.')
+        || name.contains(|c: char| c == '/' || c == '\\' || c.is_control());
+    if bad { Err(SessionError::BadName { name: name.to_owned() }) } else { Ok(name.to_owned()) }
+}

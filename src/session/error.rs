@@ -1,0 +1,85 @@
+//! What can go wrong with a session folder.
+
+use std::path::{Path, PathBuf};
+
+/// Why a session could not be made, opened, read or added to.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SessionError {
+    /// The disk refused.
+    #[error("{path}: {source}; check that the disk is there, writable and not full")]
+    Io {
+        /// File or folder.
+        path: PathBuf,
+        /// The system's own word.
+        source: std::io::Error,
+    },
+    /// A folder that holds something else.
+    #[error("{path} is there already and not empty; give a new folder's name for the session")]
+    NotEmpty {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// No session lives there.
+    #[error("{path} is no session (no session.json in it); make one with `unlit new {path}`")]
+    NotASession {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// Another program works with the session.
+    #[error("session {path} is in use by another program; close the other `unlit` first")]
+    Locked {
+        /// The session.
+        path: PathBuf,
+    },
+    /// The session was opened for reading.
+    #[error("session {path} is open for reading only, so that nothing can be added")]
+    ReadOnly {
+        /// The session.
+        path: PathBuf,
+    },
+    /// Written by a later version.
+    #[error(
+        "session {path} has layout version {found}, this program knows up to {known}; use a newer `unlit`"
+    )]
+    TooNew {
+        /// The session.
+        path: PathBuf,
+        /// Version in session.json.
+        found: u32,
+        /// Newest version known.
+        known: u32,
+    },
+    /// A file of the session does not hold what it should.
+    #[error("{path} is damaged: {why}; restore it from a backup, or move its folder out of the session")]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        why: String,
+    },
+    /// A pair of that name with other photographs is there.
+    #[error(
+        "a pair named {name} with other photographs is already in the session (pair {number}); rename the new files or import them into a session of their own"
+    )]
+    DuplicateName {
+        /// The name.
+        name: String,
+        /// The pair that has it.
+        number: u32,
+    },
+    /// The pair's name cannot name a file.
+    #[error("{name:?} cannot name a pair: 1 to 200 bytes, no slash, not beginning with a dot")]
+    BadName {
+        /// The name.
+        name: String,
+    },
+}
+
+impl SessionError {
+    /// For `map_err`: an I/O error together with the path it happened at.
+    pub(super) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> SessionError + use<> {
+        let path = path.to_owned();
+        move |source| SessionError::Io { path, source }
+    }
+}
