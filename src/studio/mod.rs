@@ -5,6 +5,7 @@
 //! X-sync contact. What the camera sees comes from a path tracer that shares only the ray kernel with
 //! [`crate::light`].
 
+pub mod truth;
 mod wires;
 pub mod world;
 

@@ -21,7 +21,10 @@ pub(super) const LAMPS: [Lamp; 3] = [
 /// Radiance from the room beyond the floor.
 pub(super) const GLOW: [f32; 3] = [0.033, 0.036, 0.039];
 
-/// Lens and sensor: 45 mm on a sensor 36 mm wide.
+/// Focal length in millimetres on a sensor 36 mm wide.
+pub(super) const FOCAL_MM: f64 = 45.0;
+
+/// Lens and sensor, in pixels.
 pub(super) const INTRINSICS: Intrinsics = Intrinsics {
     width: 336,
     height: 224,
