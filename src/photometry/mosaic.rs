@@ -54,3 +54,24 @@ pub struct Mosaic {
     /// Black and saturation.
     pub levels: Levels,
 }
+
+impl Mosaic {
+    /// Whether the site at column `x`, row `y` is clipped.
+    pub fn is_clipped(&self, x: usize, y: usize) -> bool {
+        f32::from(*self.dn.at(x, y)) >= self.levels.saturation[y & 1][x & 1]
+    }
+
+    /// Share of clipped sites of each colour (R, G, B), 0 to 1; 0 for a colour without sites.
+    pub fn clipped_shares(&self) -> [f64; 3] {
+        let (mut clipped, mut sites) = ([0u64; 3], [0u64; 3]);
+        for (y, row) in self.dn.pixels().chunks_exact(self.dn.width().max(1)).enumerate() {
+            let (colours, saturation) = (self.cfa.0[y & 1], self.levels.saturation[y & 1]);
+            for (x, &dn) in row.iter().enumerate() {
+                let colour = usize::from(colours[x & 1]);
+                sites[colour] += 1;
+                clipped[colour] += u64::from(f32::from(dn) >= saturation[x & 1]);
+            }
+        }
+        [0, 1, 2].map(|c| clipped[c] as f64 / (sites[c].max(1)) as f64)
+    }
+}
