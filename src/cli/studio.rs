@@ -64,8 +64,7 @@ fn export(folder: &Path) -> CliResult {
 
 /// A bar, and a progress that moves it.
 fn shown_progress() -> Result<(ProgressBar, Progress), CliError> {
-    let style =
-        ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} {eta}").map_err(CliError::new)?;
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} {eta}").map_err(CliError::new)?;
     let bar = ProgressBar::new(0).with_style(style);
     let shown = bar.clone();
     let progress = Progress::new(move |report| {

@@ -149,7 +149,8 @@ fn colmap_cameras(cameras: &[Camera]) -> String {
 
 fn colmap_images(cameras: &[Camera]) -> String {
     let mut text =
-        "# Image list: IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; then an empty POINTS2D line\n".to_owned();
+        "# Image list: IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; then an empty POINTS2D line\n"
+            .to_owned();
     for (id, camera) in cameras.iter().enumerate() {
         let camera_from_world = camera.world_from_camera.inverse();
         let q = DQuat::from_mat3(&camera_from_world.matrix3).normalize();

@@ -5,3 +5,4 @@ mod floors;
 mod scene_import;
 mod raw;
 mod session;
+mod studio_world;

@@ -92,9 +92,8 @@ impl World {
         let stops: Vec<Arc<Light>> = cache::load(&surfaces, &cameras, progress)?
             .into_iter()
             .map(|render| {
-                let through = |pick: fn(&path::Seen) -> [f32; 3]| {
-                    gaussian(&render.image.map(pick), sensor::LENS_SIGMA)
-                };
+                let through =
+                    |pick: fn(&path::Seen) -> [f32; 3]| gaussian(&render.image.map(pick), sensor::LENS_SIGMA);
                 Arc::new(Light { ambient: through(|s| s.ambient), flash: through(|s| s.flash) })
             })
             .collect();
