@@ -272,7 +272,7 @@ impl Desk {
             Some(name) => self.session(name),
             None => match self.current() {
                 Some(name) => self.session(&name),
-                None => Ok(self.enter(session::now().get(..10).unwrap_or("session"))?.0),
+                None => Ok(self.enter(session::utc_now().get(..10).unwrap_or("session"))?.0),
             },
         }
     }

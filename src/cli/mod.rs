@@ -1,10 +1,18 @@
 //! The command line: one file a command, each parses, calls one function of the library and prints.
 
+mod camera_host;
+mod devices;
+mod evaluate;
 mod import;
 mod import_pairs;
+mod import_scene;
 mod inspect;
 mod new;
-mod camera_host;
+mod openapi;
+mod serve;
+mod shoot;
+mod studio;
+mod works;
 
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
@@ -65,6 +73,17 @@ enum Command {
     Import(import::Import),
     /// Shows the true sensor values of a raw file, to find an exposure.
     Inspect(inspect::Inspect),
+    /// Shoots and processes for a page in the browser and for scripts.
+    Serve(serve::Args),
+    /// Shoots pairs from the terminal; exit code 3 if any was rejected.
+    Shoot(shoot::Args),
+    /// Compares a session's reflectance with a known truth.
+    Evaluate(evaluate::Args),
+    /// Prints the OpenAPI document of `unlit serve`.
+    Openapi,
+    /// The simulated studio's own housekeeping.
+    #[command(subcommand)]
+    Studio(studio::StudioCommand),
     /// Runs one camera for another unlit process.
     #[command(hide = true)]
     CameraHost(camera_host::Args),
@@ -75,8 +94,13 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
     let cli = Cli::parse_from(args);
     match cli.command {
         Command::New(arguments) => new::run(&arguments),
-        Command::Import(import) => import::run(&import),
+        Command::Import(what) => import::run(what),
         Command::Inspect(arguments) => inspect::run(&arguments),
+        Command::Serve(args) => serve::run(args),
+        Command::Shoot(args) => shoot::run(args),
+        Command::Evaluate(args) => evaluate::run(args),
+        Command::Openapi => openapi::run(),
+        Command::Studio(command) => studio::run(command),
         Command::CameraHost(args) => camera_host::run(&args),
     }
 }

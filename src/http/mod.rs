@@ -19,10 +19,14 @@ use axum::Router;
 use axum::routing::get;
 use std::future::Future;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
+
+/// How long answers may still be under way after the signal to stop.
+const LAST_ANSWERS: Duration = Duration::from_secs(10);
 
 /// The simulated studio, as far as the page and scripts may direct it.
 pub trait StudioControl: Send + Sync {
@@ -74,7 +78,8 @@ pub async fn serve(
     studio: Option<Arc<dyn StudioControl>>,
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> std::io::Result<()> {
-    let (close, closing) = watch::channel(false);
+    let (close, closing_at) = watch::channel(false);
+    let closing = closing_at.clone();
     let (routes, _document) = api().split_for_parts();
     let router = Router::new()
         .route("/", get(page::index))
@@ -84,10 +89,17 @@ pub async fn serve(
         .method_not_allowed_fallback(routes::wrong_method)
         .layer(axum::middleware::from_fn(guard::guard))
         .with_state(App { desk, studio, closing });
-    axum::serve(listener, router)
-        .with_graceful_shutdown(async move {
-            shutdown.await;
-            close.send_replace(true);
-        })
-        .await
+    let mut ending = closing_at.clone();
+    let answering = axum::serve(listener, router).with_graceful_shutdown(async move {
+        shutdown.await;
+        close.send_replace(true);
+    });
+    tokio::select! {
+        ended = answering => ended,
+        () = async {
+            // An error says that the sender is gone: then there is nothing left to wait for.
+            let _ended = ending.wait_for(|closing| *closing).await;
+            tokio::time::sleep(LAST_ANSWERS).await;
+        } => Ok(()),
+    }
 }

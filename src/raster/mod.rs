@@ -1,5 +1,9 @@
 //! Pure image arithmetic: the image type, sampling, filters, statistics. No files, no devices.
 
+pub mod blocks;
+pub mod blur;
+pub mod sample;
+
 use serde::{Deserialize, Serialize};
 
 /// A row-major image of `width * height` pixels; row 0 is the top. Pixel centres lie at

@@ -13,7 +13,7 @@ pub mod store;
 
 pub use commit::{Commit, NewFrame, NewPair, original_file_name};
 pub use error::SessionError;
-pub use journal::{Entry, Event, now};
+pub use journal::{Entry, Event, now as utc_now};
 
 use crate::pair::PairRecord;
 use serde::{Deserialize, Serialize};

@@ -7,8 +7,10 @@ mod flash;
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on stops where it is")]
 
 mod camera;
+mod evaluate;
 mod floors;
 mod pairs;
 mod raw;
 mod session;
 mod scene_import;
+mod studio_world;

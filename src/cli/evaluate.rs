@@ -1,0 +1,67 @@
+//! `unlit evaluate`: a session's reflectance against a known truth.
+
+use super::{CliError, CliResult, Exit};
+use crate::pipeline::evaluate::{Errors, Estimate, evaluate};
+use crate::progress::Progress;
+use std::path::PathBuf;
+
+/// Arguments of `unlit evaluate`.
+#[derive(clap::Args)]
+pub(super) struct Args {
+    /// Session folder.
+    session: PathBuf,
+    /// Folder with albedo/NAME.tif, mask/NAME.tif and scene.json.
+    #[arg(long, value_name = "DIR")]
+    truth: PathBuf,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Scores and prints.
+pub(super) fn run(args: Args) -> CliResult {
+    let evaluation = evaluate(&args.session, &args.truth, &Progress::silent()).map_err(CliError::new)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&evaluation).map_err(CliError::new)?);
+        return Ok(Exit::Success);
+    }
+    let absent = |what: &str| println!("{what}: the session has none");
+    match &evaluation.views {
+        Some(estimate) => print("per-view images", estimate),
+        None => absent("per-view images"),
+    }
+    match &evaluation.texture {
+        Some(estimate) => print("texture as the cameras see it", estimate),
+        None => absent("texture"),
+    }
+    Ok(Exit::Success)
+}
+
+fn print(title: &str, estimate: &Estimate) {
+    println!(
+        "{title}: {} views, {:.2} % of the object known",
+        estimate.by_view.len(),
+        100.0 * estimate.known
+    );
+    if !estimate.missing.is_empty() {
+        println!("  views of the truth that are missing: {}", estimate.missing.join(", "));
+    }
+    println!("  {:<16}{:>20}{:>20}{:>20}{:>20}", "estimate - truth", "mean", "SD", "mean |e|", "95 % of |e|");
+    line("full resolution", &estimate.full);
+    match &estimate.blocks {
+        Some(blocks) => line("4x4 blocks", blocks),
+        None => println!("  4x4 blocks: none lies wholly inside the object"),
+    }
+}
+
+/// Each figure of 1 and of 255.
+fn line(title: &str, errors: &Errors) {
+    let both = |e: f64| format!("{e:.4} ({:.2}/255)", 255.0 * e);
+    println!(
+        "  {title:<16}{:>20}{:>20}{:>20}{:>20}",
+        both(errors.mean),
+        both(errors.standard_deviation),
+        both(errors.mean_absolute),
+        both(errors.percentile_95)
+    );
+}
