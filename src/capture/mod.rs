@@ -1,1 +1,23 @@
-//! The pair's state machine; sole owner of the rig.
+//! From arming to commit: one pair at a time, sole owner of the rig.
+//!
+//! [`machine`](step) says what is to be done when (pure); [`Engine`] does it with a camera and a flash; a
+//! pair ends in a [`Session`](crate::session::Session), accepted or rejected with reasons, or not at all.
+//! [`Desk`] is where pages, scripts and terminals hand in their wishes: sessions, pairs, calibration,
+//! processing, each a job of [`crate::jobs`]. [`Events`] tells all of them what happens.
+
+mod bench;
+mod desk;
+mod engine;
+mod events;
+mod machine;
+mod place;
+mod prompt;
+mod run;
+mod thumbnail;
+
+pub use bench::{DeviceState, Devices, FlashKind, OpenCamera, OpenFlash, RigSource};
+pub use desk::{Desk, DeskError, FlashCard, SceneFiles, SessionSummary, Works};
+pub use engine::{AfterPair, CaptureError, Engine, words_on};
+pub use events::{Event, Events, Topic};
+pub use machine::{Effect, End, Event as PairEvent, Frame, State, step};
+pub use place::{CalibrationShot, PlaceError, calibration_frames, calibration_shots};

@@ -1,13 +1,18 @@
 //! The command line: one file a command, each parses, calls one function of the library and prints.
 
+mod camera_host;
+mod devices;
 mod evaluate;
 mod import;
-mod import_scene;
-mod camera_host;
-mod import;
 mod import_pairs;
+mod import_scene;
 mod inspect;
 mod new;
+mod openapi;
+mod serve;
+mod shoot;
+mod studio;
+mod works;
 
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
@@ -61,14 +66,6 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Bring what was made elsewhere into a session.
-    #[command(subcommand)]
-    Import(import::Import),
-    /// Compare a session's reflectance with a known truth.
-    Evaluate(evaluate::Args),
-    /// Runs one camera for another unlit process.
-    #[command(hide = true)]
-    CameraHost(camera_host::Args),
     /// Makes a session: a folder for pairs, calibration, scene and results.
     New(new::New),
     /// Brings files into a session: pairs shot to a card, or the reconstructed scene.
@@ -76,17 +73,34 @@ enum Command {
     Import(import::Import),
     /// Shows the true sensor values of a raw file, to find an exposure.
     Inspect(inspect::Inspect),
+    /// Shoots and processes for a page in the browser and for scripts.
+    Serve(serve::Args),
+    /// Shoots pairs from the terminal; exit code 3 if any was rejected.
+    Shoot(shoot::Args),
+    /// Compares a session's reflectance with a known truth.
+    Evaluate(evaluate::Args),
+    /// Prints the OpenAPI document of `unlit serve`.
+    Openapi,
+    /// The simulated studio's own housekeeping.
+    #[command(subcommand)]
+    Studio(studio::StudioCommand),
+    /// Runs one camera for another unlit process.
+    #[command(hide = true)]
+    CameraHost(camera_host::Args),
 }
 
 /// Parses `args` (the program's name first) and runs the command.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
     let cli = Cli::parse_from(args);
     match cli.command {
-        Command::Import(what) => import::run(what),
-        Command::Evaluate(args) => evaluate::run(args),
-        Command::CameraHost(args) => camera_host::run(&args),
         Command::New(arguments) => new::run(&arguments),
-        Command::Import(import) => import::run(&import),
+        Command::Import(what) => import::run(what),
         Command::Inspect(arguments) => inspect::run(&arguments),
+        Command::Serve(args) => serve::run(args),
+        Command::Shoot(args) => shoot::run(args),
+        Command::Evaluate(args) => evaluate::run(args),
+        Command::Openapi => openapi::run(),
+        Command::Studio(command) => studio::run(command),
+        Command::CameraHost(args) => camera_host::run(&args),
     }
 }

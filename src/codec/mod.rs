@@ -3,6 +3,8 @@
 pub mod asset;
 pub mod dng;
 pub mod exif;
+pub mod jpeg;
+pub mod exr_half;
 pub mod exr_image;
 pub mod obj;
 pub mod png;

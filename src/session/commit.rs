@@ -117,11 +117,16 @@ impl Session {
     }
 }
 
-fn frame_record(role: &str, frame: &NewFrame, blake3: String) -> FrameRecord {
-    let extension = Path::new(frame.original_name).extension().map(|e| e.to_string_lossy().to_lowercase());
+/// The name under which a session keeps an original: its role, and the extension that it had.
+pub fn original_file_name(role: &str, original_name: &str) -> String {
+    let extension = Path::new(original_name).extension().map(|e| e.to_string_lossy().to_lowercase());
     let extension = extension.filter(|e| e.len() <= 8 && e.bytes().all(|b| b.is_ascii_alphanumeric()));
+    format!("{role}.{}", extension.as_deref().unwrap_or("raw"))
+}
+
+fn frame_record(role: &str, frame: &NewFrame, blake3: String) -> FrameRecord {
     FrameRecord {
-        file: format!("{role}.{}", extension.as_deref().unwrap_or("raw")),
+        file: original_file_name(role, frame.original_name),
         original_name: frame.original_name.to_owned(),
         bytes: frame.bytes.len() as u64,
         blake3,

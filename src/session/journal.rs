@@ -88,7 +88,7 @@ pub(super) fn mend_tail(path: &Path) -> Result<(), SessionError> {
 }
 
 /// The present moment, UTC.
-pub(super) fn now() -> String {
+pub fn now() -> String {
     // A clock before 1970 is a clock that is not set; 1970 then says so.
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     utc(since.as_secs(), since.subsec_millis())

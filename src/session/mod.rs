@@ -11,9 +11,9 @@ mod error;
 mod journal;
 pub mod store;
 
-pub use commit::{Commit, NewFrame, NewPair};
+pub use commit::{Commit, NewFrame, NewPair, original_file_name};
 pub use error::SessionError;
-pub use journal::{Entry, Event};
+pub use journal::{Entry, Event, now as utc_now};
 
 use crate::pair::PairRecord;
 use serde::{Deserialize, Serialize};

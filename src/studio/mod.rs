@@ -7,7 +7,9 @@
 
 mod board;
 pub mod camera;
+pub mod truth;
 mod wires;
+pub mod world;
 
 pub use board::{Board, BoardOptions};
 pub use wires::{Exposure, SyncContact, View};

@@ -1,0 +1,273 @@
+//! Where a pair of frames goes: into the session as a pair, or beside it as a calibration shot.
+
+use crate::pair::{FlashRecord, FrameRecord, PairRecord, Reason, Settings};
+use crate::rig::ShotFile;
+use crate::session::{self, Commit, NewFrame, NewPair, Session, SessionError, store};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Two frames, and what is known of them.
+pub(super) struct Shots {
+    pub(super) off: ShotFile,
+    pub(super) on: ShotFile,
+    pub(super) off_settings: Settings,
+    pub(super) on_settings: Settings,
+    pub(super) flash: Option<FlashRecord>,
+    pub(super) reasons: Vec<Reason>,
+}
+
+/// Why two frames could not be stored.
+#[derive(Debug, thiserror::Error)]
+pub enum PlaceError {
+    /// The session refused.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The disk refused.
+    #[error("{path}: {source}; check that the disk is there, writable and not full")]
+    Disk {
+        /// File or folder.
+        path: PathBuf,
+        /// The system's own word.
+        source: std::io::Error,
+    },
+    /// A frame is missing.
+    #[error("a frame of the pair is missing; take the pair again")]
+    Incomplete,
+}
+
+/// Takes what the engine delivers.
+pub(super) trait Place {
+    /// Number by which the flash controller knows the shot; not 0.
+    fn tag(&self) -> u32;
+    /// Writes down that two frames are about to be shot.
+    fn intend(&mut self) -> Result<(), PlaceError>;
+    /// Stores both frames; on the disk when this returns.
+    fn store(&mut self, shots: Shots) -> Result<(), PlaceError>;
+    /// Writes down that nothing was stored, and why.
+    fn abandon(&mut self, why: &str) -> Result<(), PlaceError>;
+}
+
+/// The session's next pair.
+pub(super) struct PairPlace<'a> {
+    session: &'a Session,
+    number: u32,
+    stored: Option<PairRecord>,
+}
+
+impl<'a> PairPlace<'a> {
+    pub(super) fn new(session: &'a Session) -> Result<Self, SessionError> {
+        Ok(Self { session, number: session.next_pair_number()?, stored: None })
+    }
+
+    /// The pair, once stored.
+    pub(super) fn into_record(self) -> Option<PairRecord> {
+        self.stored
+    }
+}
+
+/// A session's name among its like: its folder's.
+pub(super) fn name_of(session: &Session) -> String {
+    session.path().file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+fn note(session: &Session, what: &str, detail: serde_json::Value) -> Result<(), PlaceError> {
+    Ok(session.record(session::Event::Note { what: what.to_owned(), detail })?)
+}
+
+impl Place for PairPlace<'_> {
+    fn tag(&self) -> u32 {
+        self.number
+    }
+
+    fn intend(&mut self) -> Result<(), PlaceError> {
+        note(self.session, "pair_started", json!({ "number": self.number }))
+    }
+
+    fn store(&mut self, shots: Shots) -> Result<(), PlaceError> {
+        let commit = self.session.commit_pair(NewPair {
+            name: None,
+            off: NewFrame {
+                bytes: &shots.off.bytes,
+                original_name: &shots.off.name,
+                settings: shots.off_settings,
+            },
+            on: NewFrame {
+                bytes: &shots.on.bytes,
+                original_name: &shots.on.name,
+                settings: shots.on_settings,
+            },
+            reasons: shots.reasons,
+            flash: shots.flash,
+        })?;
+        let (Commit::Stored(record) | Commit::AlreadyThere(record)) = commit;
+        self.stored = Some(record);
+        Ok(())
+    }
+
+    fn abandon(&mut self, why: &str) -> Result<(), PlaceError> {
+        note(self.session, "pair_abandoned", json!({ "number": self.number, "why": why }))
+    }
+}
+
+/// `shot.json` beside the two frames of a flash calibration shot.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CalibrationShot {
+    /// Name of its folder under `calibration/flash` (`d01000_1`: 1000 mm, first shot).
+    pub name: String,
+    /// Distance from the lens to the card along the axis, metres.
+    pub distance_m: f64,
+    /// Why it should not be used; empty when all is well.
+    pub reasons: Vec<Reason>,
+    /// The frame without flash.
+    pub off: FrameRecord,
+    /// The frame with flash.
+    pub on: FrameRecord,
+    /// The controller's account; absent for manual flashes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flash: Option<FlashRecord>,
+}
+
+const SHOT_RECORD: &str = "shot.json";
+
+/// `calibration/flash` of a session.
+fn shots_dir(session: &Session) -> PathBuf {
+    session.calibration_dir().join("flash")
+}
+
+/// All flash calibration shots of a session, by name. Folders without a record were never acknowledged and
+/// do not count.
+pub fn calibration_shots(session: &Session) -> Result<Vec<CalibrationShot>, PlaceError> {
+    let folder = shots_dir(session);
+    let entries = match std::fs::read_dir(&folder) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(source) => return Err(PlaceError::Disk { path: folder, source }),
+    };
+    let mut shots = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(disk(&folder))?.path().join(SHOT_RECORD);
+        let hidden = |p: &Path| {
+            p.parent()
+                .and_then(Path::file_name)
+                .is_some_and(|n| n.to_string_lossy().starts_with(store::TEMPORARY_PREFIX))
+        };
+        if hidden(&path) || !path.is_file() {
+            continue;
+        }
+        let bytes = std::fs::read(&path).map_err(disk(&path))?;
+        shots.push(
+            serde_json::from_slice::<CalibrationShot>(&bytes)
+                .map_err(|e| SessionError::Damaged { path: path.clone(), why: e.to_string() })?,
+        );
+    }
+    shots.sort_by(|a, b| a.name.cmp(&b.name));
+    Ok(shots)
+}
+
+/// The two frames' paths of a calibration shot.
+pub fn calibration_frames(session: &Session, shot: &CalibrationShot) -> (PathBuf, PathBuf) {
+    let folder = shots_dir(session).join(&shot.name);
+    (folder.join(&shot.off.file), folder.join(&shot.on.file))
+}
+
+fn disk(path: &Path) -> impl FnOnce(std::io::Error) -> PlaceError + use<> {
+    let path = path.to_owned();
+    move |source| PlaceError::Disk { path, source }
+}
+
+/// A shot of the calibration card.
+pub(super) struct CardPlace<'a> {
+    session: &'a Session,
+    distance_m: f64,
+    name: String,
+    tag: u32,
+    stored: Option<CalibrationShot>,
+}
+
+impl<'a> CardPlace<'a> {
+    pub(super) fn new(session: &'a Session, distance_m: f64) -> Result<Self, PlaceError> {
+        let taken = calibration_shots(session)?;
+        let name = (1..)
+            .map(|n| format!("d{:05.0}_{n}", distance_m * 1000.0))
+            .find(|name| !shots_dir(session).join(name).exists())
+            .unwrap_or_default();
+        let tag = u32::try_from(taken.len()).unwrap_or(u32::MAX - 1).saturating_add(1);
+        Ok(Self { session, distance_m, name, tag, stored: None })
+    }
+
+    /// The shot, once stored.
+    pub(super) fn into_shot(self) -> Option<CalibrationShot> {
+        self.stored
+    }
+
+    /// Fills a folder under a temporary name, then gives it its own.
+    fn write(&self, shot: &CalibrationShot, off: &[u8], on: &[u8]) -> Result<(), PlaceError> {
+        let folder = shots_dir(self.session);
+        std::fs::create_dir_all(&folder).map_err(disk(&folder))?;
+        let aside = tempfile::Builder::new()
+            .prefix(store::TEMPORARY_PREFIX)
+            .tempdir_in(&folder)
+            .map_err(disk(&folder))?;
+        let json = serde_json::to_vec_pretty(shot).map_err(|e| SessionError::Damaged {
+            path: aside.path().join(SHOT_RECORD),
+            why: e.to_string(),
+        })?;
+        for (name, bytes) in
+            [(shot.off.file.as_str(), off), (shot.on.file.as_str(), on), (SHOT_RECORD, json.as_slice())]
+        {
+            let file = aside.path().join(name);
+            store::write_atomic(&file, bytes).map_err(disk(&file))?;
+        }
+        let own = folder.join(&self.name);
+        std::fs::rename(aside.path(), &own).map_err(disk(&own))?;
+        // Renamed away: there is nothing left to remove.
+        let _old_name = aside.keep();
+        // Temporary folders are private; a session is as readable as its folder.
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            std::fs::set_permissions(&own, std::fs::Permissions::from_mode(0o755)).map_err(disk(&own))?;
+        }
+        store::sync_folder(&folder).map_err(disk(&folder))
+    }
+}
+
+impl Place for CardPlace<'_> {
+    fn tag(&self) -> u32 {
+        self.tag
+    }
+
+    fn intend(&mut self) -> Result<(), PlaceError> {
+        note(self.session, "calibration_shot_started", json!({ "name": self.name }))
+    }
+
+    fn store(&mut self, shots: Shots) -> Result<(), PlaceError> {
+        let shot = CalibrationShot {
+            name: self.name.clone(),
+            distance_m: self.distance_m,
+            reasons: shots.reasons,
+            off: frame("off", &shots.off, shots.off_settings),
+            on: frame("on", &shots.on, shots.on_settings),
+            flash: shots.flash,
+        };
+        self.write(&shot, &shots.off.bytes, &shots.on.bytes)?;
+        note(self.session, "calibration_shot_stored", json!({ "name": self.name }))?;
+        self.stored = Some(shot);
+        Ok(())
+    }
+
+    fn abandon(&mut self, why: &str) -> Result<(), PlaceError> {
+        note(self.session, "calibration_shot_abandoned", json!({ "name": self.name, "why": why }))
+    }
+}
+
+fn frame(role: &str, file: &ShotFile, settings: Settings) -> FrameRecord {
+    FrameRecord {
+        file: session::original_file_name(role, &file.name),
+        original_name: file.name.clone(),
+        bytes: file.bytes.len() as u64,
+        blake3: store::digest(&file.bytes),
+        settings,
+    }
+}

@@ -1,0 +1,130 @@
+//! Small JPEGs of raw frames, for lists. For the eye alone: nothing is ever computed from them.
+//!
+//! Black is subtracted and whole 2x2 cells are averaged, so that no demosaicing is needed. One brightness
+//! scale (saturation = white) and one neutral point (the frame's own mean, grey world) make off and on
+//! comparable; the sRGB curve follows.
+
+use super::Frame;
+use crate::codec::{jpeg, raw};
+use crate::pair::PairRecord;
+use crate::photometry::Mosaic;
+use crate::raster::Image;
+use crate::session::{Session, store};
+use std::path::PathBuf;
+
+/// Longest edge of a thumbnail in pixels.
+const EDGE: usize = 480;
+/// JPEG quality, 1..100.
+const QUALITY: u8 = 85;
+
+/// Why there is no thumbnail.
+#[derive(Debug, thiserror::Error)]
+pub enum ThumbnailError {
+    /// The frame is no readable raw.
+    #[error(transparent)]
+    Raw(#[from] raw::RawError),
+    /// The encoder refused.
+    #[error(transparent)]
+    Jpeg(#[from] jpeg::JpegError),
+    /// The disk refused.
+    #[error("{path}: {source}; check that the disk is there, writable and not full")]
+    Disk {
+        /// File or folder.
+        path: PathBuf,
+        /// The system's own word.
+        source: std::io::Error,
+    },
+}
+
+/// The path of a frame's thumbnail, made if it is not there yet. Named by the original's digest, so that it
+/// can never show another frame.
+pub(super) fn of_frame(
+    session: &Session,
+    pair: &PairRecord,
+    frame: Frame,
+) -> Result<PathBuf, ThumbnailError> {
+    let record = match frame {
+        Frame::Off => &pair.off,
+        Frame::On => &pair.on,
+    };
+    let folder = session.derived_dir().join("thumbnails");
+    let path = folder.join(format!("{}.jpg", record.blake3));
+    if path.is_file() {
+        return Ok(path);
+    }
+    let photo = raw::read(&session.pair_dir(pair.number).join(&record.file))?;
+    let small = render(&photo.mosaic);
+    let bytes = jpeg::encode(&small, QUALITY)?;
+    let disk = |source| ThumbnailError::Disk { path: path.clone(), source };
+    std::fs::create_dir_all(&folder).map_err(disk)?;
+    store::write_atomic(&path, &bytes).map_err(disk)?;
+    Ok(path)
+}
+
+/// Averages blocks of whole filter cells to at most [`EDGE`] pixels a side and encodes them for the eye.
+fn render(mosaic: &Mosaic) -> Image<[u8; 3]> {
+    let (cells_x, cells_y) = (mosaic.dn.width() / 2, mosaic.dn.height() / 2);
+    let block = cells_x.max(cells_y).div_ceil(EDGE).max(1);
+    let linear = Image::from_fn(cells_x / block, cells_y / block, |x, y| average(mosaic, x, y, block));
+    let count = linear.pixels().len().max(1) as f32;
+    let mean =
+        linear.pixels().iter().fold([0.0f32; 3], |sum, p| std::array::from_fn(|c| sum[c] + p[c] / count));
+    let neutral = mean.map(|m| if m > 1e-4 { mean[1] / m } else { 1.0 });
+    linear.map(|p| std::array::from_fn(|c| srgb(p[c] * neutral[c])))
+}
+
+/// Mean of a block of cells per colour, 0 = black, 1 = saturation.
+fn average(mosaic: &Mosaic, x: usize, y: usize, block: usize) -> [f32; 3] {
+    let mut sum = [0.0f32; 3];
+    let mut count = [0.0f32; 3];
+    for row in y * block * 2..(y + 1) * block * 2 {
+        for column in x * block * 2..(x + 1) * block * 2 {
+            let (r, c) = (row & 1, column & 1);
+            let (black, white) = (mosaic.levels.black[r][c], mosaic.levels.saturation[r][c]);
+            let colour = mosaic.cfa.colour(column, row);
+            sum[colour] += (f32::from(*mosaic.dn.at(column, row)) - black) / (white - black).max(1.0);
+            count[colour] += 1.0;
+        }
+    }
+    std::array::from_fn(|c| sum[c] / count[c].max(1.0))
+}
+
+/// The sRGB transfer curve, to 8 bits.
+fn srgb(linear: f32) -> u8 {
+    let v = linear.clamp(0.0, 1.0);
+    let encoded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+    (encoded * 255.0).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::photometry::{Cfa, LevelSource, Levels};
+
+    fn even(width: usize, height: usize, dn: u16) -> Mosaic {
+        Mosaic {
+            dn: Image::filled(width, height, dn),
+            cfa: Cfa::RGGB,
+            levels: Levels {
+                black: [[100.0; 2]; 2],
+                saturation: [[1100.0; 2]; 2],
+                black_source: LevelSource::FileTag,
+                saturation_source: LevelSource::FileTag,
+            },
+        }
+    }
+
+    #[test]
+    fn black_is_black_saturation_is_white_and_a_fifth_is_middle_grey() {
+        assert_eq!(render(&even(8, 4, 100)).pixels()[0], [0; 3]);
+        assert_eq!(render(&even(8, 4, 1100)).pixels()[0], [255; 3]);
+        assert_eq!(render(&even(8, 4, 314)).pixels()[0], [128; 3]);
+    }
+
+    #[test]
+    fn no_edge_is_longer_than_allowed_and_no_frame_is_too_small() {
+        let small = render(&even(2 * EDGE * 3 + 2, 400, 500));
+        assert!(small.width() <= EDGE && small.width() > EDGE / 2, "{}", small.width());
+        assert_eq!(render(&even(1, 1, 500)).pixels().len(), 0);
+    }
+}

@@ -1,0 +1,151 @@
+//! The options that say which devices to use, and what comes of them: real drivers on real ports, or the
+//! very same drivers on the simulated studio's.
+
+use super::CliError;
+use crate::capture::{AfterPair, Events, FlashKind, RigSource, Topic};
+use crate::http::{StageOrder, StudioBody, StudioControl};
+use crate::progress::Progress;
+use crate::rig::camera::HostedCamera;
+use crate::rig::flash::{self, SerialFlash};
+use crate::rig::{CameraError, Flash, FlashError};
+use crate::studio::camera::CameraServer;
+use crate::studio::world::{Stage, World};
+use crate::studio::{Board, BoardOptions};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+#[derive(clap::Args)]
+pub(super) struct DeviceArgs {
+    /// Simulates camera, flash and object; the drivers are the real ones.
+    #[arg(long, conflicts_with_all = ["camera", "flash"])]
+    studio: bool,
+    /// The camera's port (`usb:001,004`, `ptpip:192.168.1.2`); without it the first camera found.
+    #[arg(long, value_name = "PORT")]
+    camera: Option<String>,
+    /// The flash controller's serial device, `manual` for a flash switched by hand, or `none`; without it
+    /// the first controller that answers.
+    #[arg(long, value_name = "DEV|manual|none")]
+    flash: Option<String>,
+}
+
+impl DeviceArgs {
+    /// How to come by the devices; with `--studio` the studio too, which lives as long as it is held.
+    pub(super) fn prepare(&self) -> Result<(RigSource, Option<Arc<Studio>>), CliError> {
+        if self.studio {
+            let studio = Studio::start()?;
+            let (port, device) = (studio.camera.port(), studio.board.device().to_owned());
+            let source = RigSource {
+                camera: Box::new(move || Ok(Box::new(HostedCamera::open(Some(&port))?))),
+                flash: Box::new(move || controller(&device)),
+            };
+            return Ok((source, Some(Arc::new(studio))));
+        }
+        let port = self.camera.clone();
+        let camera = Box::new(move || -> Result<Box<dyn crate::rig::Camera>, CameraError> {
+            Ok(Box::new(HostedCamera::open(port.as_deref())?))
+        });
+        let flash: Box<dyn Fn() -> Result<FlashKind, FlashError> + Send> = match self.flash.as_deref() {
+            Some("manual") => Box::new(|| Ok(FlashKind::Manual)),
+            Some("none") => Box::new(|| Ok(FlashKind::None)),
+            Some(device) => {
+                let device = PathBuf::from(device);
+                Box::new(move || controller(&device))
+            }
+            None => Box::new(first_controller),
+        };
+        Ok((RigSource { camera, flash }, None))
+    }
+
+    /// Whether the operator switches the flash.
+    pub(super) fn flash_is_manual(&self) -> bool {
+        self.flash.as_deref() == Some("manual")
+    }
+}
+
+fn controller(device: &Path) -> Result<FlashKind, FlashError> {
+    Ok(FlashKind::Controller(Box::new(SerialFlash::open(device)?) as Box<dyn Flash>))
+}
+
+/// The first serial port behind which a controller answers. With ports but no answer, the last port's error
+/// tells more than "none".
+fn first_controller() -> Result<FlashKind, FlashError> {
+    let mut outcome = Ok(FlashKind::None);
+    for device in flash::list() {
+        outcome = controller(&device);
+        if outcome.is_ok() {
+            break;
+        }
+    }
+    outcome
+}
+
+/// The simulated studio at the other end of the wires.
+pub(super) struct Studio {
+    world: Arc<World>,
+    camera: CameraServer,
+    board: Arc<Board>,
+}
+
+impl Studio {
+    fn start() -> Result<Self, CliError> {
+        let board = Arc::new(Board::start(BoardOptions::default()).map_err(CliError::new)?);
+        let progress = Progress::new(|report| {
+            tracing::info!("studio: {} {}/{}", report.stage, report.done, report.total);
+        });
+        let world = Arc::new(World::new(board.clone(), &progress).map_err(CliError::new)?);
+        let camera = CameraServer::start(world.clone()).map_err(CliError::new)?;
+        Ok(Self { world, camera, board })
+    }
+
+    /// The operator, who walks on after each accepted pair.
+    pub(super) fn operator(self: &Arc<Self>, events: Events) -> AfterPair {
+        let studio = self.clone();
+        Arc::new(move |_| {
+            studio.world.walk_on();
+            let now = studio.describe();
+            events.tell(Topic::Studio, now.words.clone(), json!(now));
+        })
+    }
+
+    /// Sends the operator to the stop where pair `number` is taken.
+    pub(super) fn go_to_pair(&self, number: u32) {
+        let stops = self.world.stops().max(1);
+        let stop = (number.saturating_sub(1) as usize) % stops + 1;
+        if let Err(error) = self.world.set_stage(Stage::Stop(stop)) {
+            tracing::error!("{error}");
+        }
+    }
+}
+
+impl StudioControl for Studio {
+    fn describe(&self) -> StudioBody {
+        let stops = self.world.stops();
+        let body = StudioBody { words: String::new(), stop: None, stops, card_distance_m: None, lens_cap: false };
+        match self.world.stage() {
+            Stage::Stop(k) => StudioBody {
+                words: format!("The operator stands at stop {k} of {stops}."),
+                stop: Some(k),
+                ..body
+            },
+            Stage::Card { distance_m } => StudioBody {
+                words: format!("The white card stands {distance_m} m from the lens."),
+                card_distance_m: Some(distance_m),
+                ..body
+            },
+            Stage::Cap => StudioBody { words: "The cap is on the lens.".into(), lens_cap: true, ..body },
+        }
+    }
+
+    fn direct(&self, order: StageOrder) -> Result<(), String> {
+        let stage = match order {
+            StageOrder::Stop { stop } => Stage::Stop(stop),
+            StageOrder::Card { card_distance_m } => Stage::Card { distance_m: card_distance_m },
+            StageOrder::LensCap { lens_cap: true } => Stage::Cap,
+            StageOrder::LensCap { lens_cap: false } => {
+                return Err("lens_cap can only be put on (true); choose a stop to take it off".into());
+            }
+        };
+        self.world.set_stage(stage).map_err(|error| error.to_string())
+    }
+}

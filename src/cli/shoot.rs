@@ -1,0 +1,96 @@
+//! `unlit shoot`: pairs from the terminal, by the same engine as the daemon's.
+
+use super::devices::DeviceArgs;
+use super::{CliError, CliResult, Exit};
+use crate::capture::{Engine, Events, Topic, words_on};
+use crate::pair::{Limits, Verdict};
+use crate::progress::Progress;
+use crate::session::Session;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+#[derive(clap::Args)]
+pub(super) struct Args {
+    /// Session folder; made if it is not there.
+    session: PathBuf,
+    #[command(flatten)]
+    devices: DeviceArgs,
+    /// How many pairs to take.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pairs: u32,
+}
+
+pub(super) fn run(args: Args) -> CliResult {
+    let session = open_or_make(&args.session)?;
+    let (source, studio) = args.devices.prepare()?;
+    let events = Events::default();
+    let engine = Arc::new(Engine::new(source, Limits::default(), events.clone()));
+    let bar = bar();
+    if args.devices.flash_is_manual() {
+        answer_prompts(engine.clone(), &events, bar.clone())?;
+    }
+    if let Some(studio) = &studio {
+        studio.go_to_pair(session.next_pair_number().map_err(CliError::new)?);
+    }
+    let operator = studio.as_ref().map(|studio| studio.operator(events.clone()));
+    let mut rejected = false;
+    for turn in 1..=args.pairs {
+        bar.set_prefix(format!("{turn}/{}", args.pairs));
+        let shown = bar.clone();
+        let progress = Progress::new(move |report| {
+            shown.set_length(report.total);
+            shown.set_position(report.done);
+            shown.set_message(report.stage.clone());
+        });
+        let pair = engine.shoot_pair(&session, operator.as_ref(), &progress).map_err(|error| {
+            bar.finish_and_clear();
+            CliError::new(error)
+        })?;
+        rejected |= pair.verdict == Verdict::Rejected;
+        bar.suspend(|| println!("{}", words_on(&pair)));
+    }
+    bar.finish_and_clear();
+    Ok(if rejected { Exit::Rejected } else { Exit::Success })
+}
+
+fn open_or_make(path: &Path) -> Result<Session, CliError> {
+    if path.join("session.json").is_file() {
+        return Session::open(path).map_err(CliError::new);
+    }
+    let absolute = std::path::absolute(path).map_err(CliError::new)?;
+    let name = absolute.file_name().map(|n| n.to_string_lossy().into_owned());
+    Session::create(path, name.as_deref().unwrap_or("session")).map_err(CliError::new)
+}
+
+fn bar() -> ProgressBar {
+    let bar = ProgressBar::new(0);
+    // The template is a constant that indicatif accepts; its default would do as well.
+    if let Ok(style) = ProgressStyle::with_template("{prefix} [{bar:24}] {msg}") {
+        bar.set_style(style.progress_chars("=> "));
+    }
+    bar
+}
+
+/// Shows what the engine asks for and confirms with the return key.
+fn answer_prompts(engine: Arc<Engine>, events: &Events, bar: ProgressBar) -> Result<(), CliError> {
+    let (_, mut heard) = events.listen();
+    let answering = move || {
+        while let Ok(event) = heard.blocking_recv() {
+            if event.topic != Topic::Prompt {
+                continue;
+            }
+            bar.suspend(|| println!("{} [return]", event.words));
+            let mut line = String::new();
+            match std::io::stdin().read_line(&mut line) {
+                Ok(n) if n > 0 => engine.confirm(),
+                _ => {
+                    eprintln!("unlit: nobody is there to switch the flash (end of input)");
+                    std::process::exit(1);
+                }
+            };
+        }
+    };
+    std::thread::Builder::new().name("prompts".into()).spawn(answering).map_err(CliError::new)?;
+    Ok(())
+}

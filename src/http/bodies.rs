@@ -1,0 +1,362 @@
+//! What goes over the wire. Views of the domain's types, with links; the domain's own types stay free of HTTP.
+
+use crate::capture::{self, SessionSummary};
+use crate::jobs;
+use crate::pair::{self, Settings};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// How one device stands.
+#[derive(Serialize, ToSchema)]
+pub(super) struct DeviceBody {
+    /// Whether it can be used now.
+    ready: bool,
+    /// What it is; empty when there is none.
+    description: String,
+    /// "ready", or what is the matter and what to do.
+    words: String,
+}
+
+/// Camera and flash.
+#[derive(Serialize, ToSchema)]
+pub(super) struct DevicesBody {
+    /// The camera.
+    camera: DeviceBody,
+    /// The flash.
+    flash: DeviceBody,
+}
+
+impl From<capture::Devices> for DevicesBody {
+    fn from(devices: capture::Devices) -> Self {
+        let body = |d: capture::DeviceState| DeviceBody {
+            ready: d.ready,
+            description: d.description,
+            words: d.words,
+        };
+        Self { camera: body(devices.camera), flash: body(devices.flash) }
+    }
+}
+
+/// A file that can be fetched.
+#[derive(Serialize, ToSchema)]
+pub(super) struct ResultBody {
+    /// Its name.
+    name: String,
+    /// Where to fetch it.
+    url: String,
+}
+
+/// A session in a few words.
+#[derive(Serialize, ToSchema)]
+pub(super) struct SessionBody {
+    /// Its name.
+    name: String,
+    /// When it was made, UTC.
+    created: String,
+    /// Whether new pairs go there.
+    current: bool,
+    /// Pairs stored.
+    pairs: usize,
+    /// Those that processing uses.
+    accepted: usize,
+    /// Whether a scene is there.
+    has_scene: bool,
+    /// Whether a flash calibration is there.
+    has_flash_calibration: bool,
+    /// Finished results.
+    results: Vec<ResultBody>,
+    /// Why nothing else is known of it, if so.
+    problem: Option<String>,
+}
+
+impl From<SessionSummary> for SessionBody {
+    fn from(s: SessionSummary) -> Self {
+        let results = s
+            .results
+            .iter()
+            .map(|file| ResultBody {
+                name: file.rsplit('/').next().unwrap_or(file).to_owned(),
+                url: file_url(&s.name, file),
+            })
+            .collect();
+        Self {
+            results,
+            name: s.name,
+            created: s.created,
+            current: s.current,
+            pairs: s.pairs,
+            accepted: s.accepted,
+            has_scene: s.has_scene,
+            has_flash_calibration: s.has_flash_calibration,
+            problem: s.problem,
+        }
+    }
+}
+
+/// Where a session's file is fetched.
+fn file_url(session: &str, file: &str) -> String {
+    format!("/api/v1/sessions/{}/files/{file}", path_segment(session))
+}
+
+/// Percent-encodes all but what RFC 3986 leaves unreserved.
+fn path_segment(text: &str) -> String {
+    text.bytes().fold(String::new(), |mut out, byte| {
+        match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'-' | b'.' | b'_' | b'~' => out.push(char::from(byte)),
+            _ => out.push_str(&format!("%{byte:02X}")),
+        }
+        out
+    })
+}
+
+/// The session to make or open.
+#[derive(Deserialize, ToSchema)]
+pub(super) struct NewSession {
+    /// Its name: a folder of this name is made under the sessions folder.
+    #[schema(example = "birdbath")]
+    pub(super) name: String,
+}
+
+/// One failed check.
+#[derive(Serialize, ToSchema)]
+pub(super) struct ReasonBody {
+    /// Stable name.
+    #[schema(value_type = String, example = "overexposed")]
+    code: pair::ReasonCode,
+    /// What was measured.
+    figure: f64,
+    /// What it is held against.
+    limit: f64,
+    /// What it means and what to do.
+    sentence: String,
+}
+
+/// One frame of a pair.
+#[derive(Serialize, ToSchema)]
+pub(super) struct FrameBody {
+    /// File name inside the pair's folder.
+    file: String,
+    /// Where to fetch the original.
+    url: String,
+    /// Where to fetch a small JPEG of it.
+    thumbnail: String,
+    /// Length in bytes.
+    bytes: u64,
+    /// BLAKE3 of the original, hexadecimal.
+    blake3: String,
+    /// Shutter, aperture and sensitivity in words; empty if the file does not tell.
+    settings: String,
+}
+
+/// What the flash controller saw.
+#[derive(Serialize, ToSchema)]
+pub(super) struct FlashBody {
+    /// Pulses during the frame without flash.
+    pulses_off: u32,
+    /// Pulses during the frame with flash.
+    pulses_on: u32,
+    /// Energy of the pulse in the board's own counts.
+    energy_counts: Option<f64>,
+}
+
+/// One pair.
+#[derive(Serialize, ToSchema)]
+pub(super) struct PairBody {
+    /// Number inside the session, from 1.
+    number: u32,
+    /// Name by which scene cameras are matched.
+    name: String,
+    /// `accepted` or `rejected`.
+    #[schema(value_type = String, example = "accepted")]
+    verdict: pair::Verdict,
+    /// Why it was rejected.
+    reasons: Vec<ReasonBody>,
+    /// The frame without flash.
+    off: FrameBody,
+    /// The frame with flash.
+    on: FrameBody,
+    /// The controller's account; absent for imported pairs and manual flashes.
+    flash: Option<FlashBody>,
+}
+
+impl PairBody {
+    pub(super) fn new(session: &str, record: pair::PairRecord) -> Self {
+        let frame = |role: &str, f: pair::FrameRecord| FrameBody {
+            url: file_url(session, &format!("pairs/{:04}/{}", record.number, f.file)),
+            thumbnail: format!(
+                "/api/v1/sessions/{}/pairs/{}/{role}/thumbnail.jpg",
+                path_segment(session),
+                record.number
+            ),
+            file: f.file,
+            bytes: f.bytes,
+            blake3: f.blake3,
+            settings: settings_in_words(&f.settings),
+        };
+        let reason = |r: pair::Reason| ReasonBody {
+            code: r.code,
+            figure: r.figure,
+            limit: r.limit,
+            sentence: r.sentence,
+        };
+        Self {
+            number: record.number,
+            off: frame("off", record.off),
+            on: frame("on", record.on),
+            name: record.name,
+            verdict: record.verdict,
+            reasons: record.reasons.into_iter().map(reason).collect(),
+            flash: record.flash.map(|f| FlashBody {
+                pulses_off: f.pulses_off,
+                pulses_on: f.pulses_on,
+                energy_counts: f.energy_counts,
+            }),
+        }
+    }
+}
+
+fn settings_in_words(settings: &Settings) -> String {
+    let parts = [
+        settings.shutter.map(|s| s.to_string()),
+        settings.aperture.map(|a| a.to_string()),
+        settings.iso.map(|i| i.to_string()),
+    ];
+    parts.into_iter().flatten().collect::<Vec<_>>().join("  ")
+}
+
+/// The session of the pair; without it the current one, or one named by the day.
+#[derive(Default, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PairOrder {
+    /// Name of a session that is there.
+    #[serde(default)]
+    pub(super) session: Option<String>,
+}
+
+/// Why a job failed.
+#[derive(Serialize, ToSchema)]
+pub(super) struct JobProblemBody {
+    /// Stable name.
+    code: String,
+    /// The sentence for people.
+    words: String,
+}
+
+/// A job.
+#[derive(Serialize, ToSchema)]
+pub(super) struct JobBody {
+    /// Its number.
+    id: u64,
+    /// Where to ask for it.
+    url: String,
+    /// `pair`, `flash_shots`, `calibrate_flash`, `import_scene` or `process`.
+    #[schema(example = "pair")]
+    kind: &'static str,
+    /// The session it is about.
+    session: String,
+    /// `queued`, `running`, `done`, `failed` or `cancelled`.
+    #[schema(value_type = String, example = "queued")]
+    state: jobs::JobState,
+    /// What it does just now, in words.
+    stage: String,
+    /// Units of the stage that are finished.
+    done: u64,
+    /// Units of the stage in all; 0 when not known.
+    total: u64,
+    /// What came out of it: for a pair its session, number and verdict.
+    #[schema(value_type = Option<Object>)]
+    result: Option<serde_json::Value>,
+    /// Why it failed.
+    problem: Option<JobProblemBody>,
+}
+
+impl From<jobs::Job> for JobBody {
+    fn from(job: jobs::Job) -> Self {
+        Self {
+            id: job.id,
+            url: format!("/api/v1/jobs/{}", job.id),
+            kind: job.kind,
+            session: job.subject,
+            state: job.state,
+            stage: job.stage,
+            done: job.done,
+            total: job.total,
+            result: job.result,
+            problem: job.problem.map(|p| JobProblemBody { code: p.code, words: p.words }),
+        }
+    }
+}
+
+/// Where the calibration card stands.
+#[derive(Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CardShotOrder {
+    /// Distance from the lens to the card along the axis, metres.
+    #[schema(example = 1.0)]
+    pub(super) distance_m: f64,
+}
+
+/// What the flash calibration needs to know beside its shots.
+#[derive(Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FlashCalibrationOrder {
+    /// Reflectance of the card, 0..1.
+    #[schema(example = 0.94)]
+    pub(super) target_reflectance: f64,
+    /// Inner and outer radius of the ring lamp, metres.
+    #[schema(example = json!([0.035, 0.085]))]
+    pub(super) ring_radii: [f64; 2],
+}
+
+/// The simulated studio as it stands.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct StudioBody {
+    /// Where the simulated operator stands, in words.
+    pub words: String,
+    /// The stop, from 1; absent before the card or with the cap on the lens.
+    pub stop: Option<usize>,
+    /// Stops in all.
+    pub stops: usize,
+    /// Distance of the card when the card is up, metres.
+    pub card_distance_m: Option<f64>,
+    /// Whether the cap is on the lens.
+    pub lens_cap: bool,
+}
+
+/// What the simulated operator is to do: exactly one of the three.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, ToSchema)]
+#[serde(untagged, deny_unknown_fields)]
+pub enum StageOrder {
+    /// Go to a stop, counted from 1.
+    Stop {
+        /// The stop.
+        stop: usize,
+    },
+    /// Put the white card up.
+    Card {
+        /// Distance from the lens along the axis, metres.
+        card_distance_m: f64,
+    },
+    /// Put the cap on the lens.
+    LensCap {
+        /// Must be true.
+        lens_cap: bool,
+    },
+}
+
+/// Everything that a page needs to begin with.
+#[derive(Serialize, ToSchema)]
+pub(super) struct StateBody {
+    /// Version of the program.
+    pub(super) version: &'static str,
+    /// Camera and flash.
+    pub(super) devices: DevicesBody,
+    /// Name of the session to which new pairs go.
+    pub(super) session: Option<String>,
+    /// Jobs, newest first.
+    pub(super) jobs: Vec<JobBody>,
+    /// What the operator is asked at the moment.
+    pub(super) prompt: Option<String>,
+    /// The simulated studio; absent with real devices.
+    pub(super) studio: Option<StudioBody>,
+}

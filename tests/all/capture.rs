@@ -1,0 +1,210 @@
+//! One pair from arming to commit, with rigs that misbehave.
+
+use crate::fake_rig::{Room, Trouble};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+use unlit::capture::{CaptureError, Engine, Events, FlashKind, RigSource, calibration_frames, calibration_shots};
+use unlit::pair::{Limits, PairRecord, ReasonCode, Verdict};
+use unlit::progress::Progress;
+use unlit::session::Session;
+
+struct Shoot {
+    folder: TempDir,
+    session: Session,
+    engine: Engine,
+    events: Events,
+}
+
+fn shoot_with(rig: RigSource) -> Shoot {
+    let folder = tempfile::tempdir().unwrap();
+    let session = Session::create(&folder.path().join("vase"), "vase").unwrap();
+    let events = Events::default();
+    let engine = Engine::new(rig, Limits::default(), events.clone());
+    Shoot { folder, session, engine, events }
+}
+
+impl Shoot {
+    fn pair(&self) -> Result<PairRecord, CaptureError> {
+        self.engine.shoot_pair(&self.session, None, &Progress::silent())
+    }
+
+    fn journal(&self) -> String {
+        std::fs::read_to_string(self.folder.path().join("vase/journal.jsonl")).unwrap()
+    }
+
+    /// Every file of the session that is not one of its few standing ones.
+    fn pair_files(&self) -> Vec<String> {
+        fn walk(folder: &Path, out: &mut Vec<String>) {
+            for entry in std::fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_dir() { walk(&path, out) } else { out.push(path.display().to_string()) }
+            }
+        }
+        let mut files = Vec::new();
+        walk(&self.session.pairs_dir(), &mut files);
+        walk(&self.session.calibration_dir(), &mut files);
+        files
+    }
+}
+
+fn codes(pair: &PairRecord) -> Vec<ReasonCode> {
+    pair.reasons.iter().map(|r| r.code).collect()
+}
+
+#[test]
+fn a_good_pair_is_accepted_whole_and_announced() {
+    let room = Room::default();
+    let shoot = shoot_with(room.rig());
+    let (_, mut heard) = shoot.events.listen();
+    let pair = shoot.pair().unwrap();
+    assert_eq!(pair.verdict, Verdict::Accepted, "{:?}", pair.reasons);
+    assert_eq!(pair.number, 1);
+    let flash = pair.flash.clone().unwrap();
+    assert_eq!((flash.pulses_off, flash.pulses_on, flash.energy_counts), (0, 1, Some(1000.0)));
+    assert!(shoot.session.originals_intact(&pair).unwrap());
+    assert_eq!(shoot.session.pairs().unwrap(), [pair]);
+    assert_eq!(room.log(), ["disarm", "shoot", "arm", "shoot", "disarm"]);
+    let told = heard.try_recv().unwrap();
+    assert_eq!((told.topic.name(), &told.data["number"]), ("pair", &1.into()));
+}
+
+#[test]
+fn the_hook_sees_an_accepted_pair_before_anybody_hears_of_it() {
+    let shoot = shoot_with(Room::default().rig());
+    let (_, heard) = shoot.events.listen();
+    let heard = Mutex::new(heard);
+    let seen = Arc::new(Mutex::new(Vec::new()));
+    let hook: unlit::capture::AfterPair = {
+        let seen = seen.clone();
+        Arc::new(move |pair: &PairRecord| {
+            let silent = heard.lock().unwrap().try_recv().is_err();
+            seen.lock().unwrap().push((pair.number, silent));
+        })
+    };
+    shoot.engine.shoot_pair(&shoot.session, Some(&hook), &Progress::silent()).unwrap();
+    assert_eq!(*seen.lock().unwrap(), [(1, true)]);
+}
+
+#[test]
+fn a_rejected_pair_is_stored_with_its_reasons_and_moves_nobody_on() {
+    for (trouble, code) in [
+        (Trouble::Misfire, ReasonCode::Misfire),
+        (Trouble::NoContact, ReasonCode::Misfire),
+        (Trouble::FiresInTheDark, ReasonCode::Misfire),
+        (Trouble::Overexposed, ReasonCode::Overexposed),
+        (Trouble::CutsFile(0), ReasonCode::Truncated),
+        (Trouble::CutsFile(1), ReasonCode::Truncated),
+    ] {
+        let shoot = shoot_with(Room::with(trouble).rig());
+        let hook: unlit::capture::AfterPair = Arc::new(|_: &PairRecord| panic!("moved on after a rejected pair"));
+        let pair = shoot.engine.shoot_pair(&shoot.session, Some(&hook), &Progress::silent()).unwrap();
+        assert_eq!(pair.verdict, Verdict::Rejected, "{trouble:?}");
+        assert!(codes(&pair).contains(&code), "{trouble:?} gave {:?}", pair.reasons);
+        assert!(pair.reasons.iter().all(|r| r.sentence.len() > 5));
+        assert!(shoot.session.originals_intact(&pair).unwrap(), "{trouble:?}");
+    }
+}
+
+#[test]
+fn a_camera_error_leaves_a_line_in_the_journal_and_nothing_half() {
+    for release in [0, 1] {
+        let room = Room::with(Trouble::Refuses(release));
+        let shoot = shoot_with(room.rig());
+        let error = shoot.pair().unwrap_err();
+        assert_eq!(error.code(), "camera_refused");
+        assert!(error.to_string().contains("mirror up"), "{error}");
+        assert!(shoot.session.pairs().unwrap().is_empty());
+        assert_eq!(shoot.pair_files(), Vec::<String>::new());
+        assert!(shoot.journal().contains("pair_abandoned") && shoot.journal().contains("mirror up"));
+        assert!(!room.is_armed(), "the gate was left open after release {release}");
+
+        room.set(Trouble::None);
+        let pair = shoot.pair().unwrap();
+        assert_eq!(pair.verdict, Verdict::Accepted);
+    }
+}
+
+#[test]
+fn cancelling_between_the_frames_stores_nothing_and_closes_the_gate() {
+    let room = Room::default();
+    let shoot = shoot_with(room.rig());
+    let progress = {
+        let handle: Arc<Mutex<Option<Progress>>> = Arc::default();
+        let own = handle.clone();
+        let progress = Progress::new(move |report| {
+            if report.stage.contains("Getting the flash ready") {
+                own.lock().unwrap().as_ref().unwrap().cancel();
+            }
+        });
+        *handle.lock().unwrap() = Some(progress.clone());
+        progress
+    };
+    let outcome = shoot.engine.shoot_pair(&shoot.session, None, &progress);
+    assert!(matches!(outcome, Err(CaptureError::Cancelled(_))), "{outcome:?}");
+    assert_eq!(room.log(), ["disarm", "shoot", "arm", "disarm"]);
+    assert_eq!(shoot.pair_files(), Vec::<String>::new());
+    assert!(shoot.journal().contains("cancelled on request"));
+}
+
+#[test]
+fn a_missing_camera_is_told_in_words_and_found_when_it_comes() {
+    let room = Room::with(Trouble::NoCamera);
+    let shoot = shoot_with(room.rig());
+    let devices = shoot.engine.look();
+    assert!(!devices.camera.ready && devices.flash.ready);
+    assert!(devices.camera.words.contains("plugged in"), "{}", devices.camera.words);
+    assert_eq!(shoot.pair().unwrap_err().code(), "camera_not_found");
+    room.set(Trouble::None);
+    assert!(shoot.engine.look().ready());
+    assert_eq!(shoot.pair().unwrap().verdict, Verdict::Accepted);
+}
+
+#[test]
+fn without_any_flash_pairs_are_refused_with_a_sentence() {
+    let shoot = shoot_with(Room::default().rig_with(|| FlashKind::None));
+    let error = shoot.pair().unwrap_err();
+    assert_eq!(error.code(), "flash_missing");
+    assert!(error.to_string().contains("--flash manual"), "{error}");
+    assert!(shoot.session.pairs().unwrap().is_empty());
+}
+
+#[test]
+fn a_flash_switched_by_hand_is_asked_for_twice() {
+    let room = Room::default();
+    let shoot = shoot_with(room.rig_with(|| FlashKind::Manual));
+    let pair = std::thread::scope(|scope| {
+        let shooting = scope.spawn(|| shoot.pair());
+        for (word, on) in [("off", false), ("on", true)] {
+            let end = Instant::now() + Duration::from_secs(10);
+            while !shoot.engine.prompt().is_some_and(|p| p.contains(&format!("flash {word}"))) {
+                assert!(Instant::now() < end, "was not asked to switch the flash {word}");
+                std::thread::yield_now();
+            }
+            room.switch_flash(on);
+            assert!(shoot.engine.confirm());
+        }
+        shooting.join().unwrap().unwrap()
+    });
+    assert_eq!(pair.verdict, Verdict::Accepted, "{:?}", pair.reasons);
+    assert_eq!(pair.flash, None);
+    assert!(!shoot.engine.confirm(), "nothing is asked any more");
+}
+
+#[test]
+fn card_shots_are_numbered_by_distance_and_kept_beside_the_pairs() {
+    let shoot = shoot_with(Room::default().rig());
+    for distance in [1.0, 1.0, 0.75] {
+        shoot.engine.shoot_card(&shoot.session, distance, &Progress::silent()).unwrap();
+    }
+    let shots = calibration_shots(&shoot.session).unwrap();
+    let names: Vec<_> = shots.iter().map(|s| s.name.as_str()).collect();
+    assert_eq!(names, ["d00750_1", "d01000_1", "d01000_2"]);
+    for shot in &shots {
+        let (off, on) = calibration_frames(&shoot.session, shot);
+        assert_eq!(unlit::session::store::digest_file(&off).unwrap(), shot.off.blake3);
+        assert_eq!(unlit::session::store::digest_file(&on).unwrap(), shot.on.blake3);
+    }
+    assert!(shoot.session.pairs().unwrap().is_empty());
+}

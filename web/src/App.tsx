@@ -1,0 +1,52 @@
+import { Devices } from "./Devices";
+import { Jobs } from "./Jobs";
+import { useLive } from "./live";
+import { Pairs } from "./Pairs";
+import { SessionMenu } from "./SessionMenu";
+import { Shutter } from "./Shutter";
+import { words } from "./words";
+
+export function App() {
+  const live = useLive();
+  const studio = live.state?.studio ?? null;
+  return (
+    <>
+      <header>
+        <a class="mark" href="/" aria-label="unlit">
+          <img src="/assets/icon.svg" alt="" width="28" height="28" />
+          unlit
+        </a>
+        <SessionMenu live={live} />
+        {studio && (
+          <p class="studio">
+            <strong>{words.studio}</strong>
+            <span>{studio.words}</span>
+          </p>
+        )}
+      </header>
+      <div class="notices" aria-live="assertive">
+        {!live.connected && <p class="notice lost">{words.lost}</p>}
+        {live.troubles.length > 0 && (
+          <div class="notice trouble" role="alert">
+            <div>
+              {live.troubles.map((trouble) => (
+                <p key={trouble}>{trouble}</p>
+              ))}
+            </div>
+            <button type="button" class="quiet" onClick={live.dismiss}>
+              {words.dismiss}
+            </button>
+          </div>
+        )}
+      </div>
+      <main>
+        <Shutter live={live} />
+        <aside>
+          <Devices live={live} />
+          <Jobs live={live} />
+        </aside>
+        <Pairs live={live} />
+      </main>
+    </>
+  );
+}

@@ -1,0 +1,100 @@
+import { useEffect, useRef } from "preact/hooks";
+import { api } from "./api";
+import type { Live } from "./live";
+import { words } from "./words";
+
+/** Fields and buttons that have their own use for the space bar. */
+const BUSY_WITH_SPACE = "input, textarea, select, button, a, summary, [contenteditable]";
+
+export function Shutter({ live }: { live: Live }) {
+  const job = live.jobs.find((j) => j.kind === "pair" && (j.state === "running" || j.state === "queued"));
+  const prompt = live.state?.prompt ?? null;
+  const asked = useRef(false);
+
+  const take = async () => {
+    if (asked.current || job) return;
+    asked.current = true;
+    await live.attempt(api.takePair());
+    asked.current = false;
+  };
+  const confirm = () => live.attempt(api.confirm());
+
+  const act = useRef<() => void>(() => {});
+  act.current = prompt === null ? () => void take() : () => void confirm();
+  useEffect(() => {
+    const pressed = (event: KeyboardEvent) => {
+      if (event.code !== "Space" || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
+      const target = event.target instanceof Element ? event.target.closest(BUSY_WITH_SPACE) : null;
+      if (target && !target.matches(".shutter button.big")) return;
+      event.preventDefault();
+      act.current();
+    };
+    // The big button's own click on release of the space bar would take a second pair.
+    const released = (event: KeyboardEvent) => {
+      if (event.code === "Space" && event.target instanceof Element && event.target.matches(".shutter button.big")) {
+        event.preventDefault();
+      }
+    };
+    window.addEventListener("keydown", pressed);
+    window.addEventListener("keyup", released);
+    return () => {
+      window.removeEventListener("keydown", pressed);
+      window.removeEventListener("keyup", released);
+    };
+  }, []);
+
+  const last = live.pairs[0];
+  return (
+    <section class="shutter" aria-label={words.take}>
+      {prompt === null ? (
+        <button type="button" class="big" aria-disabled={job !== undefined} onClick={() => void take()}>
+          <span class="ring" aria-hidden="true" />
+          <span>
+            {job ? words.taking : words.take}
+            <small>{words.space}</small>
+          </span>
+        </button>
+      ) : (
+        <button type="button" class="big asks" onClick={() => void confirm()}>
+          <span>
+            {prompt}
+            <small>
+              {words.confirm}, {words.space}
+            </small>
+          </span>
+        </button>
+      )}
+      <div class="now" aria-live="polite">
+        {job ? (
+          <>
+            <Steps done={job.done} total={job.total} />
+            <p>{job.stage || words.taking}</p>
+          </>
+        ) : last ? (
+          <p class={last.verdict}>
+            {last.verdict === "accepted" ? words.afterAccepted(last.number) : words.afterRejected(last.number)}{" "}
+            {last.reasons.map((reason) => reason.sentence).join(" ")}
+          </p>
+        ) : (
+          <p class="dim">{words.idle}</p>
+        )}
+      </div>
+      {job && (
+        <button type="button" class="quiet" onClick={() => void live.attempt(api.cancel(job.id))}>
+          {words.cancel}
+        </button>
+      )}
+    </section>
+  );
+}
+
+function Steps({ done, total }: { done: number; total: number }) {
+  const steps = Array.from({ length: total || 6 }, (_, i) => i);
+  return (
+    <div class="steps" aria-hidden="true">
+      {steps.map((i) => (
+        <span key={i} class={i < done ? "past" : i === done ? "present" : ""} />
+      ))}
+    </div>
+  );
+}

@@ -1,0 +1,102 @@
+// The state of the house, kept up to date by server-sent events.
+
+import { useCallback, useEffect, useRef, useState } from "preact/hooks";
+import { api, type Devices, type Job, type Pair, type Session, type State, type Studio } from "./api";
+
+export interface Live {
+  connected: boolean;
+  /** Null until the first snapshot. */
+  state: State | null;
+  session: Session | null;
+  /** Newest first. */
+  pairs: Pair[];
+  /** Newest first. */
+  jobs: Job[];
+  troubles: string[];
+  /** Runs a call; its error, if any, is shown in words. */
+  attempt: <T>(call: Promise<T>) => Promise<T | undefined>;
+  dismiss: () => void;
+}
+
+interface Told<T> {
+  words: string;
+  data: T;
+}
+
+export function useLive(): Live {
+  const [connected, setConnected] = useState(true);
+  const [state, setState] = useState<State | null>(null);
+  const [session, setSession] = useState<Session | null>(null);
+  const [pairs, setPairs] = useState<Pair[]>([]);
+  const [troubles, setTroubles] = useState<string[]>([]);
+  const current = useRef<string | null>(null);
+
+  const trouble = useCallback((said: string) => {
+    setTroubles((before) => [said, ...before.filter((t) => t !== said)].slice(0, 3));
+  }, []);
+
+  const attempt = useCallback(
+    async <T>(call: Promise<T>): Promise<T | undefined> => {
+      try {
+        return await call;
+      } catch (error) {
+        trouble(error instanceof Error ? error.message : String(error));
+        return undefined;
+      }
+    },
+    [trouble],
+  );
+
+  useEffect(() => {
+    const load = async (name: string | null) => {
+      if (name !== current.current) {
+        setPairs([]);
+        setSession(null);
+      }
+      current.current = name;
+      if (name === null) return;
+      const [about, taken] = await Promise.all([attempt(api.session(name)), attempt(api.pairs(name))]);
+      if (current.current !== name) return;
+      if (about) setSession(about);
+      if (taken) setPairs(taken.reverse());
+    };
+    const change = (part: Partial<State>) => setState((before) => before && { ...before, ...part });
+
+    const source = new EventSource("/api/v1/events");
+    const on = <T>(topic: string, hear: (told: T) => void) =>
+      source.addEventListener(topic, (event) => hear(JSON.parse((event as MessageEvent<string>).data) as T));
+
+    source.onopen = () => setConnected(true);
+    source.onerror = () => setConnected(false);
+    on<State>("state", (snapshot) => {
+      setConnected(true);
+      setState(snapshot);
+      void load(snapshot.session);
+    });
+    on<Told<Devices>>("devices", (told) => change({ devices: told.data }));
+    on<Told<{ session: string }>>("session", (told) => {
+      change({ session: told.data.session });
+      void load(told.data.session);
+    });
+    on<Told<null>>("prompt", (told) => change({ prompt: told.words }));
+    on<Told<null>>("prompt_done", () => change({ prompt: null }));
+    on<Told<Studio>>("studio", (told) => change({ studio: told.data }));
+    on<Told<{ session: string }>>("pair", (told) => {
+      if (told.data.session === current.current) void load(told.data.session);
+    });
+    on<Told<null>>("trouble", (told) => trouble(told.words));
+    on<Told<Job>>("job", ({ data: job }) => {
+      setState(
+        (before) => before && { ...before, jobs: [job, ...before.jobs.filter((j) => j.id !== job.id)] },
+      );
+      if (job.state === "running" && job.kind === "pair") setTroubles([]);
+      if (job.state === "done" && job.kind !== "pair" && job.session === current.current) {
+        void load(job.session);
+      }
+    });
+    return () => source.close();
+  }, [attempt, trouble]);
+
+  const jobs = [...(state?.jobs ?? [])].sort((a, b) => b.id - a.id);
+  return { connected, state, session, pairs, jobs, troubles, attempt, dismiss: () => setTroubles([]) };
+}
