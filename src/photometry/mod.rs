@@ -1,7 +1,7 @@
 //! Pure photometry: what a raw sensor value means, and what of it is the flash's own light.
 
-pub mod inspect;
 mod demosaic;
+pub mod inspect;
 mod isolate;
 mod mosaic;
 mod noise;
@@ -9,4 +9,4 @@ mod noise;
 pub use demosaic::{Known, demosaic};
 pub use isolate::{IsolateError, KnownMosaic, isolate, isolate_dark};
 pub use mosaic::{Cfa, LevelSource, Levels, Mosaic};
-pub use noise::NoiseModel;
+pub use noise::{NoNoise, NoiseModel};

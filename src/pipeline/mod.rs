@@ -1,5 +1,10 @@
 //! Files to results, in stages keyed by the digest of their inputs.
 
-pub mod pairs;
+pub mod develop;
 pub mod evaluate;
+pub mod flash;
+mod manifest;
+pub mod pairs;
+pub mod process;
 pub mod scene;
+pub mod views;

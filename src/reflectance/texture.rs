@@ -5,7 +5,7 @@
 
 use super::atlas::{AtlasError, TexelPoint, lay_out};
 use super::bounce::{Bounces, Round, ViewLight, reading};
-use super::observe::{Lamp, Observation, View};
+use super::observe::{Lamp, Observation, View, direct};
 use super::solve::{Estimate, Reading, solve};
 use crate::light::{Elements, Transport, interpolate};
 use crate::photometry::Known;
@@ -49,6 +49,9 @@ pub enum TextureError {
 pub struct Texture {
     /// Estimate of each texel; `None` between charts and where no view sees the surface.
     pub estimates: Image<Option<Estimate>>,
+    /// Reflectance of every texel on the surface: the estimate, or for what no view sees that of the nearest
+    /// seen surface.
+    pub filled: Image<Option<[f32; 3]>>,
     /// Texels that lie on the surface, seen or not.
     pub surface: usize,
     /// How the rounds of bounces converged.
@@ -73,6 +76,28 @@ impl Stage {
             (0..meshes.len()).map(|i| diagonal * if i == 0 { OBJECT_EDGE } else { OTHER_EDGE }).collect();
         let meshes: Vec<&Mesh> = meshes.iter().collect();
         Self { elements: Elements::build(&meshes, &edges), offset: OFFSET * f64::from(diagonal) }
+    }
+
+    /// Traces the bounces' transport.
+    pub fn transport(&self, progress: &Progress) -> Result<Transport, Cancelled> {
+        let rays = RAYS.min(MOST_RAYS / self.elements.len().max(1)).max(8);
+        Transport::trace(&self.elements, rays, progress)
+    }
+
+    /// The flash's irradiance per unit radiance on every element in one view's light.
+    pub fn direct(&self, camera: &Camera, lamp: &Lamp, progress: &Progress) -> Result<Vec<f32>, Cancelled> {
+        progress.check()?;
+        let of = |e| {
+            direct(
+                camera,
+                lamp,
+                &self.elements,
+                self.offset,
+                self.elements.centroid(e),
+                self.elements.normal(e),
+            )
+        };
+        Ok((0..self.elements.len()).into_par_iter().map(|e| of(e) as f32).collect())
     }
 }
 
@@ -112,11 +137,7 @@ impl<'a> Solver<'a> {
     ) -> Result<(), Cancelled> {
         let elements = &self.stage.elements;
         let view = View::new(camera, known, lamp, elements, self.stage.offset);
-        progress.check()?;
-        let direct: Vec<f32> = (0..elements.len())
-            .into_par_iter()
-            .map(|e| view.direct(elements.centroid(e), elements.normal(e)) as f32)
-            .collect();
+        let direct = self.stage.direct(camera, lamp, progress)?;
         progress.check()?;
         let observe = |point, normal| if normal == Vec3::ZERO { None } else { view.observe(point, normal) };
         let seen = (0..elements.len())
@@ -149,8 +170,7 @@ impl<'a> Solver<'a> {
             return Err(TextureError::Unseen);
         }
         let elements = &self.stage.elements;
-        let rays = RAYS.min(MOST_RAYS / elements.len().max(1)).max(8);
-        let transport = Transport::trace(elements, rays, progress)?;
+        let transport = self.stage.transport(progress)?;
         let bounces = Bounces::settle(elements, &transport, &self.lights, progress)?;
         for (v, texels) in self.texels.iter_mut().enumerate() {
             progress.check()?;
@@ -175,11 +195,14 @@ impl<'a> Solver<'a> {
             })
             .collect::<Result<_, Cancelled>>()?;
         let mut estimates = Image::filled(self.size, self.size, None);
+        let mut filled = Image::filled(self.size, self.size, None);
         for (p, e) in self.points.iter().zip(solved.into_iter().flatten()) {
             estimates.pixels_mut()[p.texel as usize] = e;
+            let (element, _) = elements.locate(0, p.triangle as usize, p.u, p.v);
+            filled.pixels_mut()[p.texel as usize] = Some(e.map_or(bounces.rho[element], |e| e.rho));
         }
         let rounds = bounces.rounds.clone();
-        Ok(Texture { estimates, surface: self.points.len(), rounds, bounces })
+        Ok(Texture { estimates, filled, surface: self.points.len(), rounds, bounces })
     }
 
     fn solve_tile(&self, range: std::ops::Range<usize>) -> Vec<Option<Estimate>> {
