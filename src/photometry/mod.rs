@@ -1,7 +1,7 @@
 //! Pure photometry: what a raw sensor value means, and what of it is the flash's own light.
 
-pub mod inspect;
 mod demosaic;
+pub mod inspect;
 mod isolate;
 mod mosaic;
 mod noise;
