@@ -85,7 +85,7 @@ fn unit_gradients(image: &Image<f32>) -> Image<[f32; 2]> {
         [image.at(x + 1, y) - image.at(x - 1, y), image.at(x, y + 1) - image.at(x, y - 1)]
     });
     // Every seventh is plenty for a median.
-    let mut lengths: Vec<f32> = gradients.pixels().iter().step_by(7).map(|g| length(g)).collect();
+    let mut lengths: Vec<f32> = gradients.pixels().iter().step_by(7).map(length).collect();
     let middle = lengths.len() / 2;
     let median =
         if lengths.is_empty() { 1.0 } else { *lengths.select_nth_unstable_by(middle, f32::total_cmp).1 };
