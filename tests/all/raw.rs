@@ -279,4 +279,13 @@ fn mutated_files_never_panic_and_never_claim_more_than_they_hold() {
             }
         }
     }
+    assert_memory_stayed_below_kilobytes(1_500_000);
+}
+
+/// The most memory that this process ever held; what is mutated above may not have asked for more.
+fn assert_memory_stayed_below_kilobytes(limit: u64) {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap();
+    let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).unwrap();
+    let peak: u64 = peak.trim().trim_end_matches(" kB").parse().unwrap();
+    assert!(peak < limit, "peak memory {peak} kB");
 }
