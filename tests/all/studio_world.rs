@@ -1,10 +1,14 @@
 //! The simulated world through its raw files: what a photographer's program would find in them.
 
+use crate::scene_import::bare_session;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use unlit::codec::exr_image::{self, Meta};
 use unlit::codec::raw::{self, Photo};
 use unlit::codec::tiff16;
 use unlit::pair::{FrameView, Limits, judge};
 use unlit::photometry::LevelSource;
+use unlit::pipeline::evaluate::evaluate;
+use unlit::pipeline::scene::{self, Lengths};
 use unlit::progress::Progress;
 use unlit::scene::{import, read_obj};
 use unlit::studio::world::{Stage, StageError, World};
@@ -221,34 +225,21 @@ fn exported_geometry_reads_back_as_the_cameras_and_the_surface_that_were_rendere
     assert_eq!(object.uv_triangles.len(), exported.triangles);
     assert!(read_obj(&folder.path().join("geometry/floor.obj"), 1.0).unwrap().triangles.len() == 2);
 
-    // The middle of each facet in the middle of the frame, looked up in the texture, is what the camera's own
-    // truth shows there, but for the lens.
+    // The true texture on the exported object, seen by the exported cameras, is the exported truth: meshes, texture
+    // coordinates, poses and pictures fit each other.
+    let session = bare_session();
+    let geometry = folder.path().join("geometry");
+    let meshes = [geometry.join("object.obj"), geometry.join("floor.obj")];
+    let silent = Progress::silent();
+    scene::import(session.path(), &geometry.join("cameras.xml"), &meshes, Lengths::default(), &silent)
+        .unwrap();
     let texture = tiff16::read_rgb(&folder.path().join("truth/texture.tif")).unwrap();
-    let albedo = tiff16::read_rgb(&folder.path().join("truth/albedo/0001.tif")).unwrap();
-    let mask = tiff16::read_grey8(&folder.path().join("truth/mask/0001.tif")).unwrap();
-    let camera = &blocks[0];
-    let (mut error, mut count) = (0.0, 0.0);
-    for triangle in 0..object.triangles.len() {
-        let [a, b, c] = object.corners(triangle);
-        let middle = ((a + b + c) / 3.0).as_dvec3();
-        let normal = (b - a).cross(c - a).as_dvec3().normalize();
-        let to_camera = (camera.centre() - middle).normalize();
-        let Some((pixel, _)) = camera.project(middle) else { continue };
-        let (x, y) = (pixel.x as usize, pixel.y as usize);
-        // The bowl's lower outside faces this camera and nothing stands before it.
-        let low = (0.15..0.25).contains(&middle.z) && middle.truncate().length() > 0.11;
-        if normal.dot(to_camera) < 0.6 || !low || *mask.at(x, y) < 255 {
-            continue;
-        }
-        let [p, q, r] = object.uv_corners(triangle).unwrap();
-        let uv = (p + q + r) / 3.0;
-        let size = texture.width() as f32;
-        let texel = texture.at((uv.x * size) as usize, ((1.0 - uv.y) * size) as usize);
-        for k in 0..3 {
-            error += f64::from((texel[k] - albedo.at(x, y)[k]).abs());
-            count += 1.0;
-        }
-    }
-    assert!(count > 300.0, "{count}");
-    assert!(error / count < 0.05, "mean difference {}", error / count);
+    let model = session.path().join("model");
+    std::fs::create_dir_all(&model).unwrap();
+    exr_image::write_rgb(&model.join("reflectance.exr"), &texture, &Meta::default()).unwrap();
+    let score = evaluate(session.path(), &folder.path().join("truth"), &silent).unwrap().texture.unwrap();
+    println!("{:?}", score.full);
+    assert!(score.missing.is_empty() && score.by_view.len() == exported.views);
+    assert!(score.full.mean.abs() < 1e-3, "{:?}", score.full);
+    assert!(score.full.standard_deviation < 0.01, "{:?}", score.full);
 }
