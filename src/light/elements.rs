@@ -73,6 +73,11 @@ impl Elements {
         &self.kernel
     }
 
+    /// Unit normals by the winding of the meshes, one an element; zero for a degenerate one.
+    pub fn normals(&self) -> &[Vec3] {
+        &self.normals
+    }
+
     /// Unit normal by the winding of the mesh; zero for a degenerate element.
     pub fn normal(&self, element: usize) -> Vec3 {
         self.normals[element]

@@ -3,9 +3,11 @@
 mod elements;
 mod kernel;
 mod ring;
+mod sight;
 mod transport;
 
 pub use elements::{Elements, interpolate};
 pub use kernel::{Hit, RayKernel};
 pub use ring::{Ring, RingError};
+pub use sight::Sight;
 pub use transport::Transport;

@@ -66,9 +66,9 @@ pub(super) fn make(
         progress.report("per-view images", i, made);
         let known = known_light(session, pair, &inputs.calibration)?;
         let lamp = lamp(pair, &inputs.calibration)?;
-        let direct = stage.direct(camera, &lamp, progress)?;
-        let bounced = simulate(&transport, &direct, lamp.radiance, &rho);
-        let maps = view_maps(camera, &known, &lamp, &stage.elements, &bounced, stage.offset, progress)?;
+        let light = stage.illuminate(camera, &lamp);
+        let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &rho);
+        let maps = view_maps(&light, &known, &stage.elements, &bounced, progress)?;
         let folder = format!("derived/views/{}", pair.name);
         let names = ["known", "irradiance", "reflectance"].map(|n| format!("{folder}/{n}.exr"));
         let meta = |what: &str| Meta {

@@ -4,12 +4,11 @@
 //! where a site was clipped, and where so little light fell that noise alone would blur it by more than
 //! [`MOST_DEVIATION`].
 
-use super::observe::{Lamp, direct};
+use super::observe::Illumination;
 use crate::light::{Elements, interpolate};
 use crate::photometry::Known;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
-use crate::scene::Camera;
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 use std::f64::consts::PI;
@@ -30,21 +29,20 @@ pub struct ViewMaps {
 
 /// Computes a view's images. `bounced` is the view's bounced irradiance, DN, one an element.
 pub fn view_maps(
-    camera: &Camera,
+    light: &Illumination,
     known: &Known,
-    lamp: &Lamp,
     elements: &Elements,
     bounced: &[[f32; 3]],
-    offset: f64,
     progress: &Progress,
 ) -> Result<ViewMaps, Cancelled> {
-    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let lens = &light.camera().intrinsics;
+    let (width, height) = (lens.width, lens.height);
     let corners = elements.smooth(bounced);
     let rows: Vec<Vec<Option<[f32; 3]>>> = (0..height)
         .into_par_iter()
         .map(|y| {
             progress.check()?;
-            Ok((0..width).map(|x| white(camera, lamp, elements, &corners, offset, x, y)).collect())
+            Ok((0..width).map(|x| white(light, elements, &corners, x, y)).collect())
         })
         .collect::<Result<_, Cancelled>>()?;
     let white = Image::from_fn(width, height, |x, y| rows[y][x]);
@@ -62,14 +60,13 @@ pub fn view_maps(
 
 /// Mean over the pixel of what white would have read; `None` unless every sample meets a mesh.
 fn white(
-    camera: &Camera,
-    lamp: &Lamp,
+    light: &Illumination,
     elements: &Elements,
     bounced: &[[[f32; 3]; 3]],
-    offset: f64,
     x: usize,
     y: usize,
 ) -> Option<[f32; 3]> {
+    let (camera, lamp) = (light.camera(), light.lamp());
     let origin = camera.centre().as_vec3();
     let mut sum = [0.0f64; 3];
     for k in 0..GRID * GRID {
@@ -81,7 +78,7 @@ fn white(
         if normal == Vec3::ZERO {
             return None;
         }
-        let unit = direct(camera, lamp, elements, offset, origin + ray * hit.t, normal);
+        let unit = light.direct(origin + ray * hit.t, normal);
         let bounce = interpolate(&bounced[element], [hit.u, hit.v]);
         for c in 0..3 {
             sum[c] += lamp.radiance[c] * unit + f64::from(bounce[c]);

@@ -5,7 +5,7 @@
 
 use super::atlas::{AtlasError, TexelPoint, lay_out};
 use super::bounce::{Bounces, Round, ViewLight, reading};
-use super::observe::{Lamp, Observation, View, direct};
+use super::observe::{Illumination, Lamp, Observation, View};
 use super::solve::{Estimate, Reading, solve};
 use crate::light::{Elements, Transport, interpolate};
 use crate::photometry::Known;
@@ -84,20 +84,16 @@ impl Stage {
         Transport::trace(&self.elements, rays, progress)
     }
 
-    /// The flash's irradiance per unit radiance on every element in one view's light.
-    pub fn direct(&self, camera: &Camera, lamp: &Lamp, progress: &Progress) -> Result<Vec<f32>, Cancelled> {
-        progress.check()?;
-        let of = |e| {
-            direct(
-                camera,
-                lamp,
-                &self.elements,
-                self.offset,
-                self.elements.centroid(e),
-                self.elements.normal(e),
-            )
-        };
-        Ok((0..self.elements.len()).into_par_iter().map(|e| of(e) as f32).collect())
+    /// A camera and its flash before this stage.
+    pub fn illuminate<'a>(&'a self, camera: &'a Camera, lamp: &'a Lamp) -> Illumination<'a> {
+        Illumination::new(camera, lamp, &self.elements, self.offset)
+    }
+
+    /// The flash's irradiance per unit radiance on every element.
+    pub fn direct(&self, light: &Illumination) -> Vec<f32> {
+        let elements = &self.elements;
+        let of = |e| light.direct(elements.centroid(e), elements.normal(e)) as f32;
+        (0..elements.len()).into_par_iter().map(of).collect()
     }
 }
 
@@ -136,8 +132,11 @@ impl<'a> Solver<'a> {
         progress: &Progress,
     ) -> Result<(), Cancelled> {
         let elements = &self.stage.elements;
-        let view = View::new(camera, known, lamp, elements, self.stage.offset);
-        let direct = self.stage.direct(camera, lamp, progress)?;
+        progress.check()?;
+        let light = self.stage.illuminate(camera, lamp);
+        let view = View { illumination: &light, known };
+        progress.check()?;
+        let direct = self.stage.direct(&light);
         progress.check()?;
         let observe = |point, normal| if normal == Vec3::ZERO { None } else { view.observe(point, normal) };
         let seen = (0..elements.len())

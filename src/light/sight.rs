@@ -1,0 +1,246 @@
+//! Where a camera with a lamp round its lens looks freely, found once a view from its depth map.
+//!
+//! A surface point x at depth z, seen at image position p (focal length f), is shadowed from a lamp point y in
+//! the lens plane, |y| <= R, by an occluder o on the way from x to y. Both lie on one line, so o appears at depth
+//! z_o displaced by `f |y| (1/z_o - 1/z)` from p. Hence nothing can stand between x and the whole disc of
+//! radius R round the lens, the lens itself included, unless some image position q has
+//! `1/z(q) - |p - q| / (f R) > 1/z`: a grey-scale dilation of inverse depth by a cone, done in two chamfer passes.
+//! What hides o from the lens is nearer still and dilates farther, so the test errs on the safe side; a point
+//! that fails it is asked by rays.
+//!
+//! The same depth map tells where one surface ends before another.
+
+use super::RayKernel;
+use crate::raster::Image;
+use crate::scene::Camera;
+use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+
+/// Depth maps have about this many points at the most.
+const MOST_POINTS: usize = 1_500_000;
+
+/// Pixels round an occlusion edge in which lens blur and demosaicing mix two surfaces.
+const EDGE_RADIUS: usize = 2;
+
+/// A step between neighbouring pixels of more than this many pixel footprints is an occlusion edge.
+const EDGE_STEP: f64 = 4.0;
+
+/// Occluders that would throw a shadow narrower than this, in points of the map, are not looked for.
+const NARROWEST: f32 = 1.5;
+
+/// Chamfer weights, a little short of 1 and the root of 2, so that distances are not overestimated.
+const STRAIGHT: f32 = 0.95;
+const DIAGONAL: f32 = 1.36;
+
+/// A view's free sight, in its camera's frame.
+pub struct Sight {
+    /// Points of the map per unit of x/z.
+    focal: f64,
+    /// Map position of the optical axis.
+    axis: DVec2,
+    /// Inverse depth dilated by the cone, 1/m.
+    dilated: Image<f32>,
+    edge: Image<bool>,
+    tolerance: f32,
+}
+
+impl Sight {
+    /// Looks through `camera` at the kernel's triangles, whose normals are `normals`; the lamp's outer radius is
+    /// `reach`, metres.
+    pub fn look(kernel: &RayKernel, normals: &[Vec3], camera: &Camera, reach: f64) -> Self {
+        let map = Map::of(camera, reach);
+        let origin = camera.centre().as_vec3();
+        let hits: Vec<Option<(DVec3, Vec3)>> = (0..map.width * map.height)
+            .into_par_iter()
+            .map(|i| {
+                let at = DVec2::new((i % map.width) as f64, (i / map.width) as f64) + 0.5;
+                let local = ((at - map.axis) / map.focal).extend(1.0);
+                let ray = camera.world_from_camera.transform_vector3(local).as_vec3();
+                let hit = kernel.nearest(origin, ray, 0.0, f32::INFINITY)?;
+                Some((local * f64::from(hit.t), normals[hit.triangle as usize]))
+            })
+            .collect();
+        let inverse = Image::from_fn(map.width, map.height, |x, y| {
+            hits[y * map.width + x].map_or(0.0, |(p, _)| (1.0 / p.z) as f32)
+        });
+        let fall = (1.0 / (map.focal * reach)) as f32;
+        let to_camera = camera.world_from_camera.matrix3.transpose();
+        let hits: Vec<Option<(DVec3, DVec3)>> =
+            hits.into_par_iter().map(|h| h.map(|(p, n)| (p, to_camera * n.as_dvec3()))).collect();
+        Self {
+            focal: map.focal,
+            axis: map.axis,
+            dilated: dilate(inverse, fall),
+            edge: edges(&hits, &map),
+            tolerance: NARROWEST * fall,
+        }
+    }
+
+    /// Whether nothing stands between a point (camera frame, metres) and the lamp's disc. False means: ask.
+    pub fn is_free(&self, local: DVec3) -> bool {
+        self.at(&self.dilated, local).is_some_and(|d| *d <= (1.0 / local.z) as f32 + self.tolerance)
+    }
+
+    /// Whether a point (camera frame, metres) is seen beside an occlusion edge, or outside the map.
+    pub fn beside_edge(&self, local: DVec3) -> bool {
+        *self.at(&self.edge, local).unwrap_or(&true)
+    }
+
+    fn at<'a, P>(&self, map: &'a Image<P>, local: DVec3) -> Option<&'a P> {
+        if local.z <= 0.0 {
+            return None;
+        }
+        let p = local.truncate() / local.z * self.focal + self.axis;
+        map.get(p.x.floor() as isize, p.y.floor() as isize)
+    }
+}
+
+/// An undistorted pinhole image that covers the camera's frame and what may shadow it from outside.
+struct Map {
+    focal: f64,
+    axis: DVec2,
+    width: usize,
+    height: usize,
+}
+
+impl Map {
+    fn of(camera: &Camera, reach: f64) -> Self {
+        let lens = &camera.intrinsics;
+        let (w, h) = (lens.width as f64, lens.height as f64);
+        let (mut low, mut high) = (DVec2::MAX, DVec2::MIN);
+        for k in 0..=8 {
+            let t = f64::from(k) / 8.0;
+            for pixel in
+                [DVec2::new(t * w, 0.0), DVec2::new(t * w, h), DVec2::new(0.0, t * h), DVec2::new(w, t * h)]
+            {
+                let p = lens.distortion.undistort((pixel - lens.principal) / lens.focal);
+                (low, high) = (low.min(p), high.max(p));
+            }
+        }
+        // Parallax of an occluder that halves the way to a point one metre off.
+        (low, high) = (low - reach, high + reach);
+        let size = high - low;
+        let most = (MOST_POINTS as f64 / (size.x * size.y)).sqrt();
+        let focal = lens.focal.min_element().min(most);
+        let extent = (size * focal).ceil().max(DVec2::ONE);
+        Self { focal, axis: -low * focal, width: extent.x as usize, height: extent.y as usize }
+    }
+}
+
+/// Largest of each point's 3x3 neighbourhood, then dilated by a cone that falls by `fall` a point.
+fn dilate(inverse: Image<f32>, fall: f32) -> Image<f32> {
+    let (width, height) = (inverse.width() as isize, inverse.height() as isize);
+    let mut out = Image::from_fn(inverse.width(), inverse.height(), |x, y| {
+        let mut most = 0.0f32;
+        for dy in -1..=1 {
+            for dx in -1..=1 {
+                most = most.max(*inverse.get(x as isize + dx, y as isize + dy).unwrap_or(&0.0));
+            }
+        }
+        most
+    });
+    let before = [(-1, 0, STRAIGHT), (-1, -1, DIAGONAL), (0, -1, STRAIGHT), (1, -1, DIAGONAL)];
+    let mut relax = |x: isize, y: isize, sign: isize| {
+        let mut most = *out.at(x as usize, y as usize);
+        for (dx, dy, weight) in before {
+            if let Some(near) = out.get(x + sign * dx, y + sign * dy) {
+                most = most.max(near - weight * fall);
+            }
+        }
+        *out.at_mut(x as usize, y as usize) = most;
+    };
+    for y in 0..height {
+        (0..width).for_each(|x| relax(x, y, 1));
+    }
+    for y in (0..height).rev() {
+        (0..width).rev().for_each(|x| relax(x, y, -1));
+    }
+    out
+}
+
+/// Points within [`EDGE_RADIUS`] of a step between two surfaces.
+fn edges(hits: &[Option<(DVec3, DVec3)>], map: &Map) -> Image<bool> {
+    let step = |a: usize, b: usize| match (hits[a], hits[b]) {
+        (Some((p, n)), Some((q, m))) => {
+            let allowed = EDGE_STEP * p.length() / map.focal;
+            (q - p).dot(n).abs() > allowed && (q - p).dot(m).abs() > allowed
+        }
+        (None, None) => false,
+        _ => true,
+    };
+    let mut near = Image::filled(map.width, map.height, false);
+    for y in 0..map.height {
+        for x in 0..map.width {
+            let i = y * map.width + x;
+            if (x + 1 < map.width && step(i, i + 1)) || (y + 1 < map.height && step(i, i + map.width)) {
+                for v in y.saturating_sub(EDGE_RADIUS)..(y + EDGE_RADIUS + 2).min(map.height) {
+                    for u in x.saturating_sub(EDGE_RADIUS)..(x + EDGE_RADIUS + 2).min(map.width) {
+                        *near.at_mut(u, v) = true;
+                    }
+                }
+            }
+        }
+    }
+    near
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::Ring;
+    use crate::scene::{Distortion, Intrinsics};
+    use glam::DAffine3;
+
+    fn camera() -> Camera {
+        Camera {
+            name: "1".into(),
+            intrinsics: Intrinsics {
+                width: 200,
+                height: 150,
+                focal: DVec2::splat(250.0),
+                principal: DVec2::new(100.0, 75.0),
+                distortion: Distortion::default(),
+            },
+            world_from_camera: DAffine3::IDENTITY,
+        }
+    }
+
+    /// A wall at 1 m with a small plate before it at 0.7 m.
+    fn plate_before_wall() -> RayKernel {
+        let quad = |s: f32, z: f32| {
+            let p = [[-s, -s], [s, -s], [s, s], [-s, s]].map(|[x, y]| Vec3::new(x, y, z));
+            [[p[0], p[1], p[2]], [p[0], p[2], p[3]]]
+        };
+        RayKernel::build([quad(2.0, 1.0), quad(0.05, 0.7)].concat())
+    }
+
+    #[test]
+    fn a_point_called_free_is_lit_by_the_whole_ring_and_most_lit_points_are_called_free() {
+        let (kernel, camera) = (plate_before_wall(), camera());
+        let ring = Ring::new(0.035, 0.085).unwrap();
+        let sight = Sight::look(&kernel, &[-Vec3::Z; 4], &camera, ring.outer);
+        let (mut free, mut lit) = (0, 0);
+        for i in 0..80 {
+            for j in 0..60 {
+                let point = DVec3::new(i as f64 / 100.0 - 0.4, j as f64 / 100.0 - 0.3, 1.0);
+                let clear = ring.irradiance(point, -DVec3::Z);
+                let got = ring.shadowed_irradiance(&kernel, &DAffine3::IDENTITY, point, -DVec3::Z, 1e-4);
+                let is_lit = got > 0.999 * clear;
+                assert!(is_lit || !sight.is_free(point), "{point}: {}", got / clear);
+                lit += i32::from(is_lit);
+                free += i32::from(sight.is_free(point));
+            }
+        }
+        assert!(free < 4800 && f64::from(free) > 0.9 * f64::from(lit), "{free} free of {lit} lit");
+    }
+
+    #[test]
+    fn the_plates_rim_is_an_edge_and_its_middle_is_not() {
+        let (kernel, camera) = (plate_before_wall(), camera());
+        let sight = Sight::look(&kernel, &[-Vec3::Z; 4], &camera, 0.085);
+        assert!(!sight.beside_edge(DVec3::new(0.0, 0.0, 0.7)));
+        assert!(sight.beside_edge(DVec3::new(0.05, 0.0, 0.7)));
+        assert!(!sight.beside_edge(DVec3::new(0.2, 0.1, 1.0)));
+        assert!(sight.beside_edge(DVec3::new(0.0, 0.0, -1.0)));
+    }
+}
