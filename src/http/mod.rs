@@ -98,7 +98,7 @@ pub async fn serve(
         ended = answering => ended,
         () = async {
             // An error says that the sender is gone: then there is nothing left to wait for.
-            let _ended = ending.wait_for(|closing| *closing).await;
+            drop(ending.wait_for(|closing| *closing).await);
             tokio::time::sleep(LAST_ANSWERS).await;
         } => Ok(()),
     }

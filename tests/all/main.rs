@@ -1,16 +1,15 @@
 //! The one integration-test binary; a module a subject.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test's helpers may fail as its body may")]
 
+mod api;
+mod camera;
 mod capture;
+mod evaluate;
 mod fake_rig;
 mod flash;
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on stops where it is")]
-
-mod camera;
-mod evaluate;
 mod floors;
 mod pairs;
 mod raw;
-mod session;
 mod scene_import;
+mod session;
 mod studio_world;
