@@ -121,7 +121,8 @@ impl Studio {
 impl StudioControl for Studio {
     fn describe(&self) -> StudioBody {
         let stops = self.world.stops();
-        let body = StudioBody { words: String::new(), stop: None, stops, card_distance_m: None, lens_cap: false };
+        let body =
+            StudioBody { words: String::new(), stop: None, stops, card_distance_m: None, lens_cap: false };
         match self.world.stage() {
             Stage::Stop(k) => StudioBody {
                 words: format!("The operator stands at stop {k} of {stops}."),

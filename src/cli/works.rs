@@ -36,12 +36,13 @@ fn import_scene(session: &Session, files: SceneFiles, progress: &Progress) -> Re
         }
     };
     let lengths = Lengths { unit, scale: files.scale };
-    let file = scene::import(session.path(), &files.cameras, &files.meshes, lengths, progress).map_err(
-        |error| match error {
-            SceneError::Cancelled(_) => WorkError::Cancelled,
-            other => WorkError::failed("scene_failed", other),
-        },
-    )?;
+    let file =
+        scene::import(session.path(), &files.cameras, &files.meshes, lengths, progress).map_err(|error| {
+            match error {
+                SceneError::Cancelled(_) => WorkError::Cancelled,
+                other => WorkError::failed("scene_failed", other),
+            }
+        })?;
     Ok(json!({
         "cameras": file.cameras.len(),
         "without_pose": file.without_pose,

@@ -3,9 +3,9 @@
 pub mod asset;
 pub mod dng;
 pub mod exif;
-pub mod jpeg;
 pub mod exr_half;
 pub mod exr_image;
+pub mod jpeg;
 pub mod obj;
 pub mod png;
 pub mod raw;

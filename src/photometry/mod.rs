@@ -1,8 +1,8 @@
 //! Pure photometry: what a raw sensor value means, and what of it is the flash's own light.
 
 mod demosaic;
-mod isolate;
 pub mod inspect;
+mod isolate;
 mod mosaic;
 mod noise;
 

@@ -1,8 +1,8 @@
 //! The rig: what stands in the photographer's room. Synchronous, `Send` driver traits; one driver a file.
 //! [`crate::capture`] alone owns a rig.
 
-pub mod flash;
 pub mod camera;
+pub mod flash;
 mod traits;
 pub mod usb;
 

@@ -5,7 +5,9 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
-use unlit::capture::{CaptureError, Engine, Events, FlashKind, RigSource, calibration_frames, calibration_shots};
+use unlit::capture::{
+    CaptureError, Engine, Events, FlashKind, RigSource, calibration_frames, calibration_shots,
+};
 use unlit::pair::{Limits, PairRecord, ReasonCode, Verdict};
 use unlit::progress::Progress;
 use unlit::session::Session;
@@ -98,7 +100,8 @@ fn a_rejected_pair_is_stored_with_its_reasons_and_moves_nobody_on() {
         (Trouble::CutsFile(1), ReasonCode::Truncated),
     ] {
         let shoot = shoot_with(Room::with(trouble).rig());
-        let hook: unlit::capture::AfterPair = Arc::new(|_: &PairRecord| panic!("moved on after a rejected pair"));
+        let hook: unlit::capture::AfterPair =
+            Arc::new(|_: &PairRecord| panic!("moved on after a rejected pair"));
         let pair = shoot.engine.shoot_pair(&shoot.session, Some(&hook), &Progress::silent()).unwrap();
         assert_eq!(pair.verdict, Verdict::Rejected, "{trouble:?}");
         assert!(codes(&pair).contains(&code), "{trouble:?} gave {:?}", pair.reasons);

@@ -8,9 +8,7 @@ use unlit::codec::dng::{self, DngContent};
 use unlit::pair::Settings;
 use unlit::photometry::{Cfa, LevelSource, Levels, Mosaic};
 use unlit::raster::Image;
-use unlit::rig::{
-    Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, ShotFile,
-};
+use unlit::rig::{Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, ShotFile};
 use unlit::units::{FNumber, Iso, Seconds};
 
 /// What is wrong in the room.
