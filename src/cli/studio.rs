@@ -15,6 +15,9 @@ pub(super) enum StudioCommand {
         /// Folder of the renders.
         #[arg(long, default_value = world::SOURCE_FOLDER)]
         into: PathBuf,
+        /// Only this stop; may be given several times.
+        #[arg(long = "stop", value_name = "N")]
+        stops: Vec<usize>,
     },
     /// Writes the studio's geometry (for `unlit import scene`) and its truth (for `unlit evaluate`).
     Export {
@@ -26,14 +29,14 @@ pub(super) enum StudioCommand {
 /// Runs one of them.
 pub(super) fn run(command: StudioCommand) -> CliResult {
     match command {
-        StudioCommand::Render { into } => render(&into),
+        StudioCommand::Render { into, stops } => render(&into, &stops),
         StudioCommand::Export { folder } => export(&folder),
     }
 }
 
-fn render(into: &Path) -> CliResult {
+fn render(into: &Path, stops: &[usize]) -> CliResult {
     let (bar, progress) = shown_progress()?;
-    let stops = world::renew(into, &progress).map_err(CliError::new)?;
+    let stops = world::renew(into, stops, &progress).map_err(CliError::new)?;
     bar.finish_and_clear();
     for stop in &stops {
         println!(

@@ -142,20 +142,23 @@ pub struct StoredStop {
     pub bytes: usize,
 }
 
-/// Renders all stops whose file in `folder` does not fit the present code, and writes them there. May be stopped
-/// and started again: finished stops stay.
-pub fn renew(folder: &Path, progress: &Progress) -> Result<Vec<StoredStop>, WorldError> {
+/// Renders the stops whose file in `folder` does not fit the present code, and writes them there: those numbered
+/// in `only`, or all when it is empty. May be stopped and started again: finished stops stay.
+pub fn renew(folder: &Path, only: &[usize], progress: &Progress) -> Result<Vec<StoredStop>, WorldError> {
     let io = |source| WorldError::Folder { folder: folder.to_owned(), source };
     std::fs::create_dir_all(folder).map_err(io)?;
     let surfaces = stage::surfaces();
-    let mut manifest = manifest(std::fs::read(folder.join(MANIFEST)).ok().as_deref());
+    let in_folder = || manifest(std::fs::read(folder.join(MANIFEST)).ok().as_deref());
     let mut tracer = None;
     let mut summary = Vec::new();
-    for camera in stage::cameras() {
+    for (k, camera) in stage::cameras().into_iter().enumerate() {
+        if !only.is_empty() && !only.contains(&(k + 1)) {
+            continue;
+        }
         let digest = digest(&surfaces, &camera, render::FULL);
         let place = folder.join(file_name(&camera));
         let old = std::fs::read(&place).ok();
-        if let (Some(entry), Some(bytes)) = (manifest.get(&camera.name), &old)
+        if let (Some(entry), Some(bytes)) = (in_folder().get(&camera.name), &old)
             && stored(Some(entry), Some(bytes), &digest, &camera)?.is_some()
         {
             summary.push(StoredStop {
@@ -171,6 +174,8 @@ pub fn renew(folder: &Path, progress: &Progress) -> Result<Vec<StoredStop>, Worl
         let render = render::render(tracer, &stage::RING, &camera, render::FULL, rows, progress)?;
         let bytes = pack(&render.image)?;
         let file = blake3::hash(&bytes).to_hex().to_string();
+        // Read again: another program may have finished other stops meanwhile.
+        let mut manifest = in_folder();
         manifest.insert(camera.name.clone(), Entry { made_from: digest, file, noise: render.noise });
         std::fs::write(&place, &bytes).map_err(io)?;
         let text = serde_json::to_vec_pretty(&manifest).map_err(|e| io(e.into()))?;

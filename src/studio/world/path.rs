@@ -162,14 +162,14 @@ impl Tracer {
                 throughput[k] *= albedo[k];
             }
             if let Some((ring, pose)) = ring {
-                let light = self.from_ring(point, normal, ring, pose, sampler.next());
+                let light = self.light_of_ring(point, normal, ring, pose, sampler.next());
                 accumulate(&mut seen.flash, &throughput, &ring.radiance, light / PI);
             }
             if room && !self.lamps.is_empty() {
                 let choice = sampler.next().x;
                 let lamp =
                     &self.lamps[((choice * self.lamps.len() as f32) as usize).min(self.lamps.len() - 1)];
-                let light = self.from_lamp(point, normal, lamp, sampler.next());
+                let light = self.light_of_lamp(point, normal, lamp, sampler.next());
                 accumulate(
                     &mut seen.ambient,
                     &throughput,
@@ -191,7 +191,7 @@ impl Tracer {
     }
 
     /// One estimate of the irradiance at a point from a ring of unit radiance.
-    fn from_ring(&self, point: Vec3, normal: Vec3, ring: &Ring, pose: &DAffine3, u: Vec2) -> f32 {
+    fn light_of_ring(&self, point: Vec3, normal: Vec3, ring: &Ring, pose: &DAffine3, u: Vec2) -> f32 {
         let (inner, outer) = (ring.inner * ring.inner, ring.outer * ring.outer);
         let radius = (inner + u.x * (outer - inner)).sqrt();
         let (sin, cos) = (TAU * u.y).sin_cos();
@@ -210,7 +210,7 @@ impl Tracer {
     }
 
     /// One estimate of the irradiance at a point from a lamp of unit radiance, sampled over the cone that it fills.
-    fn from_lamp(&self, point: Vec3, normal: Vec3, lamp: &Lamp, u: Vec2) -> f32 {
+    fn light_of_lamp(&self, point: Vec3, normal: Vec3, lamp: &Lamp, u: Vec2) -> f32 {
         let way = lamp.centre - point;
         let distance = way.length();
         if distance <= lamp.radius {
