@@ -1,9 +1,11 @@
 //! `unlit evaluate`: a session's reflectance against a known truth.
 
-use super::{CliError, CliResult, Exit};
-use crate::pipeline::evaluate::{Errors, Estimate, evaluate};
+use super::{CliError, CliResult, Exit, progress_bar};
+use crate::pipeline::evaluate::{Errors, Estimate, Evaluation, evaluate};
+use crate::pipeline::{process, views};
 use crate::progress::Progress;
-use std::path::PathBuf;
+use crate::session::Session;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `unlit evaluate`.
 #[derive(clap::Args)]
@@ -20,7 +22,11 @@ pub(super) struct Args {
 
 /// Scores and prints.
 pub(super) fn run(args: Args) -> CliResult {
-    let evaluation = evaluate(&args.session, &args.truth, &Progress::silent()).map_err(CliError::new)?;
+    let session = Session::open(&args.session).map_err(CliError::new)?;
+    let (bar, progress) = progress_bar::watched();
+    let evaluation = score(&session, &args.truth, &progress);
+    bar.finish_and_clear();
+    let evaluation = evaluation?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&evaluation).map_err(CliError::new)?);
         return Ok(Exit::Success);
@@ -35,6 +41,14 @@ pub(super) fn run(args: Args) -> CliResult {
         None => absent("texture"),
     }
     Ok(Exit::Success)
+}
+
+/// Makes the per-view images where the session was processed without them, then scores.
+fn score(session: &Session, truth: &Path, progress: &Progress) -> Result<Evaluation, CliError> {
+    if process::stored(session).is_some() {
+        views::ensure(session, progress).map_err(CliError::new)?;
+    }
+    evaluate(session, truth, progress).map_err(CliError::new)
 }
 
 fn print(title: &str, estimate: &Estimate) {

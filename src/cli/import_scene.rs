@@ -3,6 +3,7 @@
 use super::{CliError, CliResult, Exit};
 use crate::pipeline::scene::{self, Lengths, Unit};
 use crate::progress::Progress;
+use crate::session::Session;
 use std::path::PathBuf;
 
 /// Arguments of `unlit import scene`.
@@ -39,7 +40,8 @@ pub(super) fn run(args: Args) -> CliResult {
         LengthUnit::Mm => Unit::Millimetre,
     };
     let lengths = Lengths { unit, scale: args.scale };
-    let file = scene::import(&args.session, &args.cameras, &args.meshes, lengths, &Progress::silent())
+    let session = Session::open(&args.session).map_err(CliError::new)?;
+    let file = scene::import(&session, &args.cameras, &args.meshes, lengths, &Progress::silent())
         .map_err(CliError::new)?;
     println!("{} cameras", file.cameras.len());
     if !file.without_pose.is_empty() {

@@ -1,5 +1,6 @@
 //! The command line: one file a command, each parses, calls one function of the library and prints.
 
+mod calibrate;
 mod camera_host;
 mod devices;
 mod evaluate;
@@ -9,6 +10,8 @@ mod import_scene;
 mod inspect;
 mod new;
 mod openapi;
+mod process;
+mod progress_bar;
 mod serve;
 mod shoot;
 mod studio;
@@ -77,6 +80,11 @@ enum Command {
     Serve(serve::Args),
     /// Shoots pairs from the terminal; exit code 3 if any was rejected.
     Shoot(shoot::Args),
+    /// Measures the rig from calibration shots.
+    #[command(subcommand)]
+    Calibrate(calibrate::Calibrate),
+    /// Turns a session's pairs into reflectance: texture, deviations and model.
+    Process(process::Args),
     /// Compares a session's reflectance with a known truth.
     Evaluate(evaluate::Args),
     /// Prints the OpenAPI document of `unlit serve`.
@@ -98,6 +106,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Serve(args) => serve::run(args),
         Command::Shoot(args) => shoot::run(args),
+        Command::Calibrate(what) => calibrate::run(&what),
+        Command::Process(args) => process::run(&args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Openapi => openapi::run(),
         Command::Studio(command) => studio::run(command),

@@ -1,12 +1,11 @@
 //! `unlit shoot`: pairs from the terminal, by the same engine as the daemon's.
 
 use super::devices::DeviceArgs;
-use super::{CliError, CliResult, Exit};
+use super::{CliError, CliResult, Exit, progress_bar};
 use crate::capture::{Engine, Events, Topic, words_on};
 use crate::pair::{Limits, Verdict};
-use crate::progress::Progress;
 use crate::session::Session;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -26,7 +25,7 @@ pub(super) fn run(args: Args) -> CliResult {
     let (source, studio) = args.devices.prepare()?;
     let events = Events::default();
     let engine = Arc::new(Engine::new(source, Limits::default(), events.clone()));
-    let bar = bar();
+    let (bar, progress) = progress_bar::watched();
     if args.devices.flash_is_manual() {
         answer_prompts(engine.clone(), &events, bar.clone())?;
     }
@@ -37,12 +36,6 @@ pub(super) fn run(args: Args) -> CliResult {
     let mut rejected = false;
     for turn in 1..=args.pairs {
         bar.set_prefix(format!("{turn}/{}", args.pairs));
-        let shown = bar.clone();
-        let progress = Progress::new(move |report| {
-            shown.set_length(report.total);
-            shown.set_position(report.done);
-            shown.set_message(report.stage.clone());
-        });
         let pair = engine.shoot_pair(&session, operator.as_ref(), &progress).map_err(|error| {
             bar.finish_and_clear();
             CliError::new(error)
@@ -61,15 +54,6 @@ fn open_or_make(path: &Path) -> Result<Session, CliError> {
     let absolute = std::path::absolute(path).map_err(CliError::new)?;
     let name = absolute.file_name().map(|n| n.to_string_lossy().into_owned());
     Session::create(path, name.as_deref().unwrap_or("session")).map_err(CliError::new)
-}
-
-fn bar() -> ProgressBar {
-    let bar = ProgressBar::new(0);
-    // The template is a constant that indicatif accepts; its default would do as well.
-    if let Ok(style) = ProgressStyle::with_template("{prefix} [{bar:24}] {msg}") {
-        bar.set_style(style.progress_chars("=> "));
-    }
-    bar
 }
 
 /// Shows what the engine asks for and confirms with the return key.

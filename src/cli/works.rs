@@ -1,7 +1,9 @@
 //! The processing that `unlit serve` sets off, as the desk wants it.
 
-use crate::capture::{FlashCard, SceneFiles, Works};
+use crate::capture::{CalibrationShot, FlashCard, SceneFiles, Works};
 use crate::jobs::WorkError;
+use crate::pipeline::flash::{self, CardFacts, CardFiles, FlashError};
+use crate::pipeline::process::{self, ProcessError, ProcessOptions};
 use crate::pipeline::scene::{self, Lengths, SceneError, Unit};
 use crate::progress::Progress;
 use crate::session::Session;
@@ -14,16 +16,37 @@ pub(super) fn works() -> Works {
         calibrate_flash: Arc::new(calibrate_flash),
         import_scene: Arc::new(import_scene),
         has_scene: Arc::new(|session| session.scene_dir().join("scene.json").is_file()),
-        has_flash_calibration: Arc::new(|session| session.calibration_dir().join("flash.json").is_file()),
+        has_flash_calibration: Arc::new(flash::exists),
     }
 }
 
-fn process(_session: &Session, (): (), _progress: &Progress) -> Result<Value, WorkError> {
-    Err(WorkError::failed("unavailable", "this build cannot process; use one that has `unlit process`"))
+fn process(session: &Session, (): (), progress: &Progress) -> Result<Value, WorkError> {
+    let summary =
+        process::process(session, &ProcessOptions::default(), progress).map_err(|error| match error {
+            ProcessError::Cancelled(_) => WorkError::Cancelled,
+            other => WorkError::failed("process_failed", other),
+        })?;
+    Ok(json!(summary))
 }
 
-fn calibrate_flash(_session: &Session, _card: FlashCard, _progress: &Progress) -> Result<Value, WorkError> {
-    Err(WorkError::failed("unavailable", "this build cannot calibrate; use one that has `unlit calibrate`"))
+fn calibrate_flash(session: &Session, card: FlashCard, progress: &Progress) -> Result<Value, WorkError> {
+    let folder = session.calibration_dir().join("flash");
+    let files = |shot: CalibrationShot| {
+        let place = folder.join(&shot.name);
+        let off = Some(place.join(&shot.off.file));
+        CardFiles { distance: shot.distance_m, on: place.join(&shot.on.file), off }
+    };
+    let shots: Vec<CardFiles> = card.shots.into_iter().map(files).collect();
+    let facts = CardFacts {
+        target_reflectance: card.target_reflectance,
+        ring_radii: card.ring_radii,
+        focal_px: None,
+    };
+    let fit = flash::calibrate(session, &shots, facts, progress).map_err(|error| match error {
+        FlashError::Cancelled(_) => WorkError::Cancelled,
+        other => WorkError::failed("calibration_failed", other),
+    })?;
+    Ok(json!(fit))
 }
 
 fn import_scene(session: &Session, files: SceneFiles, progress: &Progress) -> Result<Value, WorkError> {
@@ -37,12 +60,12 @@ fn import_scene(session: &Session, files: SceneFiles, progress: &Progress) -> Re
     };
     let lengths = Lengths { unit, scale: files.scale };
     let file =
-        scene::import(session.path(), &files.cameras, &files.meshes, lengths, progress).map_err(|error| {
-            match error {
+        scene::import(session, &files.cameras, &files.meshes, lengths, progress).map_err(
+            |error| match error {
                 SceneError::Cancelled(_) => WorkError::Cancelled,
                 other => WorkError::failed("scene_failed", other),
-            }
-        })?;
+            },
+        )?;
     Ok(json!({
         "cameras": file.cameras.len(),
         "without_pose": file.without_pose,

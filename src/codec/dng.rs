@@ -121,7 +121,6 @@ pub fn encode(content: &DngContent) -> Result<Vec<u8>, DngError> {
         ifd.write_tag(Tag::Unknown(50830), [0, 0, full[1], border as u32].as_slice())?;
     }
     ifd.finish()?;
-    drop(encoder);
     Ok(file.into_inner())
 }
 

@@ -175,7 +175,7 @@ pub fn read(path: &Path) -> Result<Exr, AssetError> {
         .map_err(fail)?;
     let layer = image.layer_data;
     let text = |value: Option<&exr::Text>| value.map(ToString::to_string);
-    let colour_space = layer.attributes.other.iter().find(|(key, _)| key.to_string() == COLOUR_SPACE);
+    let colour_space = layer.attributes.other.iter().find(|(key, _)| **key == *COLOUR_SPACE);
     let meta = Meta {
         colour_space: colour_space.and_then(|(_, value)| match value {
             exr::AttributeValue::Text(t) => Some(t.to_string()),

@@ -1,1 +1,3 @@
 //! GLB, EXR, TIFF and report, from plain inputs.
+
+pub mod glb;

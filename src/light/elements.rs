@@ -111,6 +111,40 @@ impl Elements {
         }
     }
 
+    /// Gives every element without a value the mean of its neighbours', ring by ring outwards from those that
+    /// have one; what no ring reaches keeps none.
+    pub fn spread(&self, values: &mut [Option<[f32; 3]>]) {
+        let mut open: Vec<usize> = (0..self.len()).filter(|&e| values[e].is_none()).collect();
+        loop {
+            let found: Vec<(usize, Option<[f32; 3]>)> =
+                open.par_iter().map(|&e| (e, self.mean_of_neighbours(e, values))).collect();
+            open.clear();
+            let mut grown = false;
+            for (e, value) in found {
+                grown |= value.is_some();
+                values[e] = value;
+                if value.is_none() {
+                    open.push(e);
+                }
+            }
+            if !grown {
+                return;
+            }
+        }
+    }
+
+    fn mean_of_neighbours(&self, element: usize, values: &[Option<[f32; 3]>]) -> Option<[f32; 3]> {
+        let run = self.starts[3 * element] as usize..self.starts[3 * element + 3] as usize;
+        let (mut sum, mut count) = ([0.0; 3], 0.0);
+        for value in self.shared[run].iter().filter_map(|&near| values[near as usize]) {
+            count += 1.0;
+            for (s, v) in sum.iter_mut().zip(value) {
+                *s += v;
+            }
+        }
+        (count > 0.0).then(|| sum.map(|s| s / count))
+    }
+
     /// Spreads one value an element to one a corner of each element, averaging with the neighbours that
     /// lie in the same smooth surface.
     pub fn smooth(&self, values: &[[f32; 3]]) -> Vec<[[f32; 3]; 3]> {
@@ -218,6 +252,18 @@ mod tests {
             let [a, b, c] = *elements.kernel().corners(e as u32);
             let p = a * (1.0 - local[0] - local[1]) + b * local[0] + c * local[1];
             assert!((p - Vec3::new(u, v, 0.0)).length() < 1e-4, "{p} for {u} {v}");
+        }
+    }
+
+    #[test]
+    fn values_spread_to_the_whole_of_a_connected_surface() {
+        let elements = Elements::build(&[&triangle(), &triangle()], &[0.2, 2.0]);
+        let mut values = vec![None; elements.len()];
+        values[7] = Some([0.25, 0.5, 0.75]);
+        elements.spread(&mut values);
+        for (e, value) in values.iter().enumerate() {
+            let want = (elements.mesh_of(e) == 0).then_some([0.25, 0.5, 0.75]);
+            assert_eq!(*value, want, "element {e}");
         }
     }
 

@@ -9,4 +9,4 @@ mod noise;
 pub use demosaic::{Known, demosaic};
 pub use isolate::{IsolateError, KnownMosaic, isolate, isolate_dark};
 pub use mosaic::{Cfa, LevelSource, Levels, Mosaic};
-pub use noise::NoiseModel;
+pub use noise::{NoNoise, NoiseModel};

@@ -20,6 +20,7 @@ use crate::progress::{Cancelled, Progress};
 use crate::raster::blocks::{block_means, erode};
 use crate::raster::{Image, Rgb};
 use crate::scene::{Camera, Scene};
+use crate::session::Session;
 use errors::Pool;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -112,11 +113,11 @@ pub struct ViewErrors {
 }
 
 /// Scores what the session holds.
-pub fn evaluate(session: &Path, truth: &Path, progress: &Progress) -> Result<Evaluation, EvaluateError> {
+pub fn evaluate(session: &Session, truth: &Path, progress: &Progress) -> Result<Evaluation, EvaluateError> {
     let truth = Truth::open(truth)?;
     let scene = scene::load(session)?;
-    let view_path = |name: &str| session.join("derived/views").join(name).join("reflectance.exr");
-    let texture_path = session.join("model/reflectance.exr");
+    let view_path = |name: &str| session.derived_dir().join("views").join(name).join("reflectance.exr");
+    let texture_path = session.model_dir().join("reflectance.exr");
     let views = if truth.names.iter().any(|name| view_path(name).is_file()) {
         Some(score("per-view images", &truth, progress, |view| {
             let path = view_path(&view.name);
@@ -131,7 +132,7 @@ pub fn evaluate(session: &Path, truth: &Path, progress: &Progress) -> Result<Eva
         None
     };
     if views.is_none() && texture.is_none() {
-        return Err(EvaluateError::NothingToScore(session.to_owned()));
+        return Err(EvaluateError::NothingToScore(session.path().to_owned()));
     }
     Ok(Evaluation { views, texture })
 }

@@ -2,4 +2,11 @@
 
 pub mod evaluate;
 pub mod pairs;
+pub mod develop;
+pub mod evaluate;
+pub mod flash;
+mod manifest;
+pub mod pairs;
+pub mod process;
 pub mod scene;
+pub mod views;

@@ -13,15 +13,13 @@ use crate::codec::asset::AssetError;
 use crate::progress::{Cancelled, Progress};
 use crate::scene::import::{self, ImportError, ImportedCameras};
 use crate::scene::{Camera, Mesh, Scene, read_obj};
+use crate::session::{Session, store};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Why a scene could not be imported or loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
-    /// The folder is no session.
-    #[error("{} is not a session (it has no session.json); make one with `unlit new`", .0.display())]
-    NoSession(PathBuf),
     /// Nothing imported yet.
     #[error("the session {} has no scene; import cameras and meshes with `unlit import scene`", .0.display())]
     NoScene(PathBuf),
@@ -165,14 +163,15 @@ pub struct MeshFile {
 const FORMAT: u32 = 1;
 
 /// Imports cameras (a BlocksExchange XML file, or a folder with COLMAP's texts) and meshes, the object first.
+/// The session must be open for writing.
 pub fn import(
-    session: &Path,
+    session: &Session,
     cameras: &Path,
     meshes: &[PathBuf],
     lengths: Lengths,
     progress: &Progress,
 ) -> Result<SceneFile, SceneError> {
-    let folder = scene_folder(session)?;
+    let folder = session.scene_dir();
     let metres_per_unit = lengths.metres_per_unit()?;
     if meshes.is_empty() {
         return Err(SceneError::NoMesh);
@@ -214,18 +213,18 @@ pub fn import(
     let path = folder.join("scene.json");
     let json = serde_json::to_vec_pretty(&file)
         .map_err(|e| SceneError::Damaged { path: path.clone(), reason: e.to_string() })?;
-    write_whole(&path, &json)?;
+    store::write_atomic(&path, &json).map_err(io("write", &path))?;
     progress.report("writing the scene", steps, steps);
     Ok(file)
 }
 
 /// Reads `scene/scene.json` alone: cameras and facts, no meshes.
-pub fn load_file(session: &Path) -> Result<SceneFile, SceneError> {
-    let path = scene_folder(session)?.join("scene.json");
+pub fn load_file(session: &Session) -> Result<SceneFile, SceneError> {
+    let path = session.scene_dir().join("scene.json");
     let bytes = match std::fs::read(&path) {
         Ok(bytes) => bytes,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-            return Err(SceneError::NoScene(session.to_owned()));
+            return Err(SceneError::NoScene(session.path().to_owned()));
         }
         Err(e) => return Err(io("read", &path)(e)),
     };
@@ -239,8 +238,8 @@ pub fn load_file(session: &Path) -> Result<SceneFile, SceneError> {
 }
 
 /// Reads the imported scene: cameras, and meshes scaled to metres.
-pub fn load(session: &Path) -> Result<Scene, SceneError> {
-    let folder = scene_folder(session)?;
+pub fn load(session: &Session) -> Result<Scene, SceneError> {
+    let folder = session.scene_dir();
     let SceneFile { lengths, cameras, meshes, .. } = load_file(session)?;
     let metres_per_unit = lengths.metres_per_unit()?;
     let meshes = meshes
@@ -248,7 +247,7 @@ pub fn load(session: &Path) -> Result<Scene, SceneError> {
         .map(|entry| {
             let path = folder.join(&entry.original.file);
             let bytes = std::fs::read(&path).map_err(io("read", &path))?;
-            if blake3::hash(&bytes).to_hex().as_str() != entry.original.blake3 {
+            if store::digest(&bytes) != entry.original.blake3 {
                 let reason = "it is not the file that was imported".to_owned();
                 return Err(SceneError::Damaged { path, reason });
             }
@@ -256,14 +255,6 @@ pub fn load(session: &Path) -> Result<Scene, SceneError> {
         })
         .collect::<Result<Vec<_>, _>>()?;
     Ok(Scene { cameras, meshes })
-}
-
-fn scene_folder(session: &Path) -> Result<PathBuf, SceneError> {
-    if session.join("session.json").is_file() {
-        Ok(session.join("scene"))
-    } else {
-        Err(SceneError::NoSession(session.to_owned()))
-    }
 }
 
 /// The files that hold the cameras, and what they say.
@@ -289,28 +280,14 @@ fn read_cameras(path: &Path) -> Result<(Vec<PathBuf>, ImportedCameras), SceneErr
 /// files stay until its `scene.json` is replaced.
 fn keep(folder: &Path, source: &Path) -> Result<Original, SceneError> {
     let bytes = std::fs::read(source).map_err(io("read", source))?;
-    let digest = blake3::hash(&bytes).to_hex();
+    let digest = store::digest(&bytes);
     let name = source.file_name().unwrap_or_default().to_string_lossy();
     let file = format!("originals/{}_{name}", &digest[..12]);
     let kept = folder.join(&file);
     if std::fs::read(&kept).ok().as_ref() != Some(&bytes) {
-        write_whole(&kept, &bytes)?;
+        store::write_atomic(&kept, &bytes).map_err(io("write", &kept))?;
     }
-    Ok(Original { file, source: source.display().to_string(), blake3: digest.to_string() })
-}
-
-/// Writes beside, syncs, renames, syncs the folder: under the final name there is only ever a whole file.
-fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
-    use std::io::Write as _;
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let write = || -> std::io::Result<()> {
-        let mut file = tempfile::NamedTempFile::new_in(folder)?;
-        file.write_all(bytes)?;
-        file.as_file().sync_all()?;
-        file.persist(path).map_err(|e| e.error)?;
-        std::fs::File::open(folder)?.sync_all()
-    };
-    write().map_err(io("write", path))
+    Ok(Original { file, source: source.display().to_string(), blake3: digest })
 }
 
 fn io<'a>(action: &'static str, path: &'a Path) -> impl FnOnce(std::io::Error) -> SceneError + 'a {

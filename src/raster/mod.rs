@@ -3,6 +3,7 @@
 pub mod blocks;
 pub mod blur;
 pub mod sample;
+pub mod srgb;
 
 use serde::{Deserialize, Serialize};
 

@@ -5,6 +5,7 @@
 use crate::raster::Image;
 use crate::scene::Mesh;
 use glam::Vec2;
+use std::collections::HashMap;
 
 /// A texel on the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,12 +53,15 @@ pub enum AtlasError {
 /// Share of texels that may be claimed twice (chart borders are, by rounding) before it is called overlap.
 const MOST_OVERLAP: f64 = 0.02;
 
-/// Lays the triangles out in a texture of `size` x `size`: all texels whose centre lies in a triangle.
+/// Lays the triangles out in a texture of `size` x `size`: all texels whose centre lies in a triangle, and
+/// those within a texel of one, which bilinear look-ups at the chart's border read; these stand for the
+/// nearest point of their triangle.
 pub fn lay_out(mesh: &Mesh, size: usize) -> Result<Vec<TexelPoint>, AtlasError> {
     if mesh.uv_triangles.len() != mesh.triangles.len() || mesh.triangles.is_empty() {
         return Err(AtlasError::NoUvs(mesh.name.clone()));
     }
     let mut owner: Vec<Option<TexelPoint>> = vec![None; size * size];
+    let mut charts = vec![];
     let (mut outside, mut claimed, mut twice) = (0usize, 0usize, 0usize);
     for t in 0..mesh.triangles.len() {
         let Some(uv) = mesh.uv_corners(t) else { continue };
@@ -78,7 +82,9 @@ pub fn lay_out(mesh: &Mesh, size: usize) -> Result<Vec<TexelPoint>, AtlasError> 
                 }
             }
         });
+        charts.push((t as u32, corners));
     }
+    claim_borders(&charts, size, &mut owner);
     if outside * 100 > mesh.triangles.len() {
         let share = 100.0 * outside as f64 / mesh.triangles.len() as f64;
         return Err(AtlasError::Outside { mesh: mesh.name.clone(), share });
@@ -90,20 +96,64 @@ pub fn lay_out(mesh: &Mesh, size: usize) -> Result<Vec<TexelPoint>, AtlasError> 
     Ok(owner.into_iter().flatten().collect())
 }
 
+/// Gives free texels within one texel of a triangle to the nearest point of the nearest such triangle.
+fn claim_borders(charts: &[(u32, [Vec2; 3])], size: usize, owner: &mut [Option<TexelPoint>]) {
+    let mut nearest: HashMap<usize, (f32, TexelPoint)> = HashMap::new();
+    for &(triangle, corners) in charts {
+        let (low, high) = bounds(&corners, 1.0, size);
+        for y in low.1..high.1 {
+            for x in low.0..high.0 {
+                let texel = y * size + x;
+                if owner[texel].is_some() {
+                    continue;
+                }
+                let (distance, u, v) = nearest_point(&corners, Vec2::new(x as f32, y as f32) + 0.5);
+                if distance <= 1.0 && nearest.get(&texel).is_none_or(|(d, _)| distance < *d) {
+                    nearest.insert(texel, (distance, TexelPoint { texel: texel as u32, triangle, u, v }));
+                }
+            }
+        }
+    }
+    for (texel, (_, point)) in nearest {
+        owner[texel] = Some(point);
+    }
+}
+
+/// Columns and rows of the pixels whose centres lie in the triangle's box widened by `margin`, ends excluded.
+fn bounds([a, b, c]: &[Vec2; 3], margin: f32, size: usize) -> ((usize, usize), (usize, usize)) {
+    let (low, high) = (a.min(*b).min(*c) - margin, a.max(*b).max(*c) + margin);
+    let first = |x: f32| (x - 0.5).ceil().max(0.0) as usize;
+    let end = |x: f32| ((x - 0.5).floor() + 1.0).clamp(0.0, size as f32) as usize;
+    ((first(low.x), first(low.y)), (end(high.x), end(high.y)))
+}
+
+/// Distance from `p` to the triangle's nearest point on its border, and that point's barycentric weights.
+fn nearest_point(corners: &[Vec2; 3], p: Vec2) -> (f32, f32, f32) {
+    let mut best = (f32::INFINITY, 0.0, 0.0);
+    for edge in 0..3 {
+        let (a, b) = (corners[edge], corners[(edge + 1) % 3]);
+        let along = b - a;
+        let s = ((p - a).dot(along) / along.length_squared().max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
+        let distance = (a + along * s - p).length();
+        if distance < best.0 {
+            let mut weights = [0.0; 3];
+            weights[edge] = 1.0 - s;
+            weights[(edge + 1) % 3] = s;
+            best = (distance, weights[1], weights[2]);
+        }
+    }
+    best
+}
+
 /// Calls `hit(x, y, u, v)` for every pixel whose centre lies in the triangle (pixel coordinates, y down).
 fn rasterise([a, b, c]: [Vec2; 3], size: usize, mut hit: impl FnMut(usize, usize, f32, f32)) {
     let area = (b - a).perp_dot(c - a);
     if area == 0.0 || !area.is_finite() {
         return;
     }
-    let (low, high) = (a.min(b).min(c), a.max(b).max(c));
-    let range = |low: f32, high: f32| {
-        let first = (low - 0.5).ceil().max(0.0) as usize;
-        let last = (high - 0.5).floor();
-        first..if last < 0.0 { first } else { (last as usize + 1).min(size).max(first) }
-    };
-    for y in range(low.y, high.y) {
-        for x in range(low.x, high.x) {
+    let (low, high) = bounds(&[a, b, c], 0.0, size);
+    for y in low.1..high.1 {
+        for x in low.0..high.0 {
             let p = Vec2::new(x as f32, y as f32) + 0.5 - a;
             let (u, v) = (p.perp_dot(c - a) / area, (b - a).perp_dot(p) / area);
             if u >= 0.0 && v >= 0.0 && u + v <= 1.0 {
@@ -180,8 +230,10 @@ mod tests {
     fn texels_stand_where_their_coordinates_say() {
         let mesh = square();
         let points = lay_out(&mesh, 64).unwrap();
-        assert_eq!(points.len(), 32 * 32);
-        for p in &points {
+        let inside = |x: u32| (16..48).contains(&x);
+        let inner: Vec<_> = points.iter().filter(|p| inside(p.texel % 64) && inside(p.texel / 64)).collect();
+        assert_eq!((inner.len(), points.len()), (32 * 32, 32 * 32 + 4 * 32 + 4));
+        for p in inner {
             let [a, b, c] = mesh.corners(p.triangle as usize);
             let at = a * (1.0 - p.u - p.v) + b * p.u + c * p.v;
             let (x, y) = (p.texel % 64, p.texel / 64);

@@ -114,10 +114,11 @@ impl Bounces {
         );
     }
 
-    /// Reflectance of every element with the present bounces; what no view sees takes its mesh's mean.
+    /// Reflectance of every element with the present bounces; what no view sees takes after the seen surface
+    /// round it, and what is not connected to any takes its mesh's mean.
     fn solve_elements(&self, elements: &Elements, seen: &Seen) -> Vec<[f32; 3]> {
         let width = 3 * self.views;
-        let solved: Vec<Option<[f32; 3]>> = (0..elements.len())
+        let mut solved: Vec<Option<[f32; 3]>> = (0..elements.len())
             .into_par_iter()
             .map(|e| {
                 let readings: Vec<Reading> = seen
@@ -144,8 +145,29 @@ impl Bounces {
         }
         let mean = |m: usize| sum[m].map(|s| if area[m] > 0.0 { (s / area[m]) as f32 } else { 0.0 });
         let means: Vec<[f32; 3]> = (0..meshes).map(mean).collect();
+        elements.spread(&mut solved);
         solved.iter().enumerate().map(|(e, rho)| rho.unwrap_or(means[elements.mesh_of(e)])).collect()
     }
+}
+
+/// Irradiance by bounces (DN) on every element in one view's light, for a reflectance that is known already.
+pub fn simulate(
+    transport: &Transport,
+    direct: &[f32],
+    radiance: [f64; 3],
+    rho: &[[f32; 3]],
+) -> Vec<[f32; 3]> {
+    let (mut irradiance, mut exitance) = (vec![0.0f32; 3 * rho.len()], vec![0.0f32; 3 * rho.len()]);
+    for _ in 0..FIRST_BOUNCES + MORE_BOUNCES {
+        for (e, out) in exitance.chunks_exact_mut(3).enumerate() {
+            for c in 0..3 {
+                let light = direct[e] * radiance[c] as f32 + irradiance[3 * e + c];
+                out[c] = rho[e][c].clamp(0.0, MOST_REFLECTANCE) * light;
+            }
+        }
+        transport.gather(&exitance, 3, &mut irradiance);
+    }
+    irradiance.chunks_exact(3).map(|e| [e[0], e[1], e[2]]).collect()
 }
 
 /// The observation with bounced irradiance (DN) added to what white would have read.

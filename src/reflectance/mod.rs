@@ -14,4 +14,6 @@ pub mod atlas;
 pub mod bounce;
 pub mod maps;
 pub mod observe;
+pub mod orientation;
 pub mod solve;
+pub mod texture;

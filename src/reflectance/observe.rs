@@ -16,6 +16,10 @@ const GRAZING: f64 = 0.1;
 /// Pixels round an occlusion edge in which lens blur and demosaicing mix two surfaces.
 const EDGE_RADIUS: usize = 2;
 
+/// Standard deviation, relative to the reading, of a pixel beside an occlusion edge: it counts only where
+/// nothing better is to be had.
+const EDGE_DEVIATION: f32 = 0.3;
+
 /// A step between neighbouring pixels of more than this many pixel footprints is an occlusion edge.
 const EDGE_STEP: f64 = 4.0;
 
@@ -76,7 +80,7 @@ impl<'a> View<'a> {
     }
 
     /// The view's look at a point (metres, world) with unit normal; `None` where it does not see it, sees it
-    /// at a grazing angle, beside an occlusion edge, or clipped.
+    /// at a grazing angle, or clipped.
     pub fn observe(&self, point: Vec3, normal: Vec3) -> Option<Observation> {
         let (position, facing) = (point.as_dvec3(), normal.as_dvec3());
         let way = self.camera.centre() - position;
@@ -84,9 +88,11 @@ impl<'a> View<'a> {
             return None;
         }
         let (pixel, _) = self.camera.project(position)?;
-        let (known, variance) = self.read(pixel)?;
+        let (known, mut variance) = self.read(pixel)?;
         if self.edges.near(pixel) {
-            return None;
+            for (v, k) in variance.iter_mut().zip(known) {
+                *v += (EDGE_DEVIATION * k).powi(2);
+            }
         }
         let start = (position + facing * self.offset).as_vec3();
         let to_lens = self.camera.centre().as_vec3() - start;

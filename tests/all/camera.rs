@@ -84,7 +84,9 @@ fn the_camera_introduces_itself_and_tells_its_settings() {
 #[test]
 fn shots_in_a_row_bring_each_frame_once_and_whole() {
     let studio = Studio::new();
+    let began = Instant::now();
     let mut camera = studio.camera();
+    eprintln!("opened in {:?}", began.elapsed());
     for number in 0..3 {
         let began = Instant::now();
         let shot = camera.shoot().unwrap();
@@ -93,6 +95,9 @@ fn shots_in_a_row_bring_each_frame_once_and_whole() {
         assert!(shot.name.ends_with(".cr2"), "{}", shot.name);
         assert_eq!(studio.frames(), number + 1);
     }
+    let began = Instant::now();
+    drop(camera);
+    eprintln!("closed in {:?}", began.elapsed());
 }
 
 #[test]
@@ -147,6 +152,48 @@ fn a_stalled_camera_misses_its_deadline_and_works_again_once_mended() {
 }
 
 #[test]
+fn a_silence_that_the_library_notices_itself_is_a_missed_deadline_too() {
+    let studio = Studio::new();
+    let mut camera = studio.camera_with(Deadlines { other: Duration::from_secs(60), ..Deadlines::default() });
+    studio.server.fault(Fault::Stall);
+    let error = camera.settings().unwrap_err();
+    let CameraError::Deadline { deadline, .. } = &error else { panic!("{error}") };
+    assert!(*deadline < Duration::from_secs(40), "it was the library that gave up: {error}");
+    assert_eq!(camera.host_id(), None);
+    studio.server.mend();
+    assert_eq!(camera.settings().unwrap().iso, Some(Iso(100.0)));
+}
+
+#[test]
+fn a_host_whose_driver_died_ends_even_inside_a_library_that_spins() {
+    use std::io::Write;
+    let studio = Studio::new();
+    studio.server.fault(Fault::NoRoom);
+    let home = tempfile::tempdir().unwrap();
+    let (mut ours, theirs) = std::os::unix::net::UnixStream::pair().unwrap();
+    let mut host = std::process::Command::new(program())
+        .args(["camera-host", "--port", &studio.server.port()])
+        .env("HOME", home.path())
+        .stdin(std::os::fd::OwnedFd::from(theirs))
+        .spawn()
+        .unwrap();
+    let open = br#""open""#;
+    ours.write_all(&[&6_u32.to_le_bytes()[..], &0_u64.to_le_bytes()[..], open].concat()).unwrap();
+    ours.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
+    let silence = std::io::Read::read(&mut ours, &mut [0]).unwrap_err();
+    assert_eq!(silence.kind(), std::io::ErrorKind::WouldBlock, "the library should spin by now");
+    drop(ours);
+    let deadline = Instant::now() + Duration::from_secs(15);
+    while host.try_wait().unwrap().is_none() {
+        if Instant::now() > deadline {
+            host.kill().unwrap();
+            panic!("the host outlives its driver");
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
 fn a_library_that_spins_for_ever_is_killed_at_the_deadline() {
     let studio = Studio::new();
     studio.server.fault(Fault::NoRoom);
@@ -185,6 +232,7 @@ fn a_link_lost_in_a_download_fails_that_shot_and_no_other() {
     let mut camera = studio.camera();
     studio.server.fault(Fault::DropInDownload);
     let error = camera.shoot().unwrap_err();
+    eprintln!("{error}");
     assert!(matches!(error, CameraError::Refused { .. } | CameraError::Deadline { .. }), "{error}");
     assert!(camera.shoot().unwrap().bytes == blob(1), "never the frame of the shot before");
 }

@@ -1,24 +1,24 @@
 //! The yardstick: what is exactly right scores 0, and a known error is found.
 
 use crate::scene_import::{bare_session, import_birdbath, shared};
-use std::path::Path;
 use unlit::codec::exr_image::{self, Meta};
 use unlit::codec::tiff16;
 use unlit::pipeline::evaluate::{EvaluateError, evaluate};
 use unlit::progress::Progress;
 use unlit::raster::Image;
+use unlit::session::Session;
 
 const VIEWS: [&str; 3] = ["000", "009", "021"];
 
 /// Writes the true albedo plus `offset` as the per-view images, the lower half unknown when asked.
-fn write_views(session: &Path, offset: f32, half: bool) {
+fn write_views(session: &Session, offset: f32, half: bool) {
     for name in VIEWS {
         let truth = tiff16::read_rgb(&shared(&format!("scenes/birdbath/truth/albedo/{name}.tif"))).unwrap();
         let image = Image::from_fn(truth.width(), truth.height(), |x, y| {
             let [r, g, b] = *truth.at(x, y);
             if half && y >= 200 { [9.0, 9.0, 9.0, 0.0] } else { [r + offset, g + offset, b + offset, 1.0] }
         });
-        let folder = session.join("derived/views").join(name);
+        let folder = session.derived_dir().join("views").join(name);
         std::fs::create_dir_all(&folder).unwrap();
         exr_image::write_rgba(&folder.join("reflectance.exr"), &image, &Meta::default()).unwrap();
     }
@@ -38,22 +38,22 @@ fn small_truth(views: &[&str]) -> tempfile::TempDir {
     folder
 }
 
-fn score(session: &Path) -> unlit::pipeline::evaluate::Evaluation {
+fn score(session: &Session) -> unlit::pipeline::evaluate::Evaluation {
     evaluate(session, &shared("scenes/birdbath/truth"), &Progress::silent()).unwrap()
 }
 
 #[test]
 fn the_truth_itself_scores_zero_and_an_offset_is_found() {
-    let session = bare_session();
-    import_birdbath(session.path(), "cameras.xml");
-    write_views(session.path(), 0.0, false);
-    let views = score(session.path()).views.unwrap();
+    let (_folder, session) = bare_session();
+    import_birdbath(&session, "cameras.xml");
+    write_views(&session, 0.0, false);
+    let views = score(&session).views.unwrap();
     assert!(views.full.percentile_95 < 1e-5 && views.full.mean.abs() < 1e-6, "{:?}", views.full);
     assert_eq!((views.by_view.len(), views.missing.len(), views.known), (3, 21, 1.0));
     assert!(views.missing.contains(&"001".to_owned()));
 
-    write_views(session.path(), 0.02, true);
-    let views = score(session.path()).views.unwrap();
+    write_views(&session, 0.02, true);
+    let views = score(&session).views.unwrap();
     assert!((views.full.mean - 0.02).abs() < 1e-5, "{:?}", views.full);
     assert!(views.full.standard_deviation < 1e-5, "{:?}", views.full);
     let blocks = views.blocks.unwrap();
@@ -63,15 +63,13 @@ fn the_truth_itself_scores_zero_and_an_offset_is_found() {
 
 #[test]
 fn the_true_texture_through_the_cameras_scores_next_to_nothing() {
-    let session = bare_session();
-    import_birdbath(session.path(), "cameras.xml");
+    let (_folder, session) = bare_session();
+    import_birdbath(&session, "cameras.xml");
     let texture = tiff16::read_rgb(&shared("scenes/birdbath/truth/texture.tif")).unwrap();
-    let model = session.path().join("model");
-    std::fs::create_dir_all(&model).unwrap();
-    exr_image::write_rgb(&model.join("reflectance.exr"), &texture, &Meta::default()).unwrap();
+    exr_image::write_rgb(&session.model_dir().join("reflectance.exr"), &texture, &Meta::default()).unwrap();
     let start = std::time::Instant::now();
     let truth = small_truth(&VIEWS);
-    let estimate = evaluate(session.path(), truth.path(), &Progress::silent()).unwrap().texture.unwrap();
+    let estimate = evaluate(&session, truth.path(), &Progress::silent()).unwrap().texture.unwrap();
     let blocks = estimate.blocks.unwrap();
     println!("{:?}\n{:?}\nknown {}, {:?}", estimate.full, blocks, estimate.known, start.elapsed());
     assert!(estimate.missing.is_empty() && estimate.by_view.len() == 3);
@@ -83,12 +81,12 @@ fn the_true_texture_through_the_cameras_scores_next_to_nothing() {
 
 #[test]
 fn nothing_to_score_and_no_truth_are_said_in_words() {
-    let session = bare_session();
-    import_birdbath(session.path(), "colmap");
+    let (_folder, session) = bare_session();
+    import_birdbath(&session, "colmap");
     let truth = shared("scenes/birdbath/truth");
-    let error = evaluate(session.path(), &truth, &Progress::silent()).unwrap_err();
+    let error = evaluate(&session, &truth, &Progress::silent()).unwrap_err();
     assert!(matches!(error, EvaluateError::NothingToScore(_)), "{error}");
     assert!(error.to_string().contains("unlit process"));
-    let error = evaluate(session.path(), session.path(), &Progress::silent()).unwrap_err();
+    let error = evaluate(&session, session.path(), &Progress::silent()).unwrap_err();
     assert!(error.to_string().contains("albedo"), "{error}");
 }

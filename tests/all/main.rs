@@ -1,7 +1,10 @@
 //! The one integration-test binary; a module a subject.
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test's helpers may fail as its body may")]
 
 mod api;
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test's helpers may fail as its body may")]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that panics has spoken")]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on stops where it is")]
+
 mod camera;
 mod capture;
 mod evaluate;

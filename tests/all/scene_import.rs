@@ -5,6 +5,7 @@ use unlit::pipeline::scene::{self, Lengths, SceneError, Unit};
 use unlit::progress::Progress;
 use unlit::scene::Camera;
 use unlit::scene::import::{blocks_exchange, colmap_text};
+use unlit::session::Session;
 
 /// A file of the shared samples; fails by name where they are not laid out.
 pub fn shared(path: &str) -> PathBuf {
@@ -88,15 +89,15 @@ fn an_agisoft_file_is_recognised_as_something_else() {
     assert!(error.contains("BlocksExchange") && error.contains("document"), "{error}");
 }
 
-/// A folder that counts as a session, for what needs no more than its layout.
-pub fn bare_session() -> tempfile::TempDir {
+/// A new session in a folder that goes with it.
+pub fn bare_session() -> (tempfile::TempDir, Session) {
     let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("session.json"), "{}").unwrap();
-    folder
+    let session = Session::create(&folder.path().join("session"), "test").unwrap();
+    (folder, session)
 }
 
 /// Imports the birdbath, object and floor, true to size.
-pub fn import_birdbath(session: &std::path::Path, cameras: &str) -> scene::SceneFile {
+pub fn import_birdbath(session: &Session, cameras: &str) -> scene::SceneFile {
     let meshes = ["object", "floor"].map(|m| shared(&format!("scenes/birdbath/geometry/{m}.obj")));
     scene::import(
         session,
@@ -110,8 +111,8 @@ pub fn import_birdbath(session: &std::path::Path, cameras: &str) -> scene::Scene
 
 #[test]
 fn the_birdbath_is_imported_checked_and_loaded_again() {
-    let session = bare_session();
-    let file = import_birdbath(session.path(), "cameras.xml");
+    let (_folder, session) = bare_session();
+    let file = import_birdbath(&session, "cameras.xml");
     assert_eq!((file.cameras.len(), file.meshes.len()), (24, 2));
     assert_eq!((file.meshes[0].vertices, file.meshes[0].triangles), (102_418, 122_600));
     assert!(file.meshes[0].textured);
@@ -119,29 +120,29 @@ fn the_birdbath_is_imported_checked_and_loaded_again() {
     assert!(file.check.views.iter().all(|v| v.in_front == 1.0 && v.in_frame > 0.9), "{:?}", file.check.views);
     println!("{} m across, {} m away", file.check.object_size, file.check.distance);
 
-    let loaded = scene::load(session.path()).unwrap();
+    let loaded = scene::load(&session).unwrap();
     assert_eq!(loaded.cameras, file.cameras);
     assert_eq!([&loaded.meshes[0].name, &loaded.meshes[1].name], ["object", "floor"]);
     assert_eq!(loaded.meshes[1].triangles.len(), 2);
 
-    let kept = session.path().join("scene").join(&file.meshes[1].original.file);
+    let kept = session.scene_dir().join(&file.meshes[1].original.file);
     let original = std::fs::read(shared("scenes/birdbath/geometry/floor.obj")).unwrap();
     assert_eq!(std::fs::read(&kept).unwrap(), original);
     std::fs::write(&kept, "v 0 0 0\n").unwrap();
-    let error = scene::load(session.path()).unwrap_err().to_string();
+    let error = scene::load(&session).unwrap_err().to_string();
     assert!(error.contains("floor.obj") && error.contains("import the scene again"), "{error}");
 }
 
 #[test]
 fn unit_and_scale_act_on_cameras_and_meshes_alike() {
-    let session = bare_session();
+    let (_folder, session) = bare_session();
     let floor = [shared("scenes/birdbath/geometry/floor.obj")];
     let cameras = shared("scenes/birdbath/geometry/colmap");
     let lengths = Lengths { unit: Unit::Millimetre, scale: 2.0 };
-    scene::import(session.path(), &cameras, &floor, lengths, &Progress::silent()).unwrap();
-    let small = scene::load(session.path()).unwrap();
-    scene::import(session.path(), &cameras, &floor, Lengths::default(), &Progress::silent()).unwrap();
-    let full = scene::load(session.path()).unwrap();
+    scene::import(&session, &cameras, &floor, lengths, &Progress::silent()).unwrap();
+    let small = scene::load(&session).unwrap();
+    scene::import(&session, &cameras, &floor, Lengths::default(), &Progress::silent()).unwrap();
+    let full = scene::load(&session).unwrap();
     for (a, b) in small.cameras.iter().zip(&full.cameras) {
         assert!((a.centre() - b.centre() * 0.002).length() < 1e-12);
         assert_eq!(a.world_from_camera.matrix3, b.world_from_camera.matrix3);
@@ -150,22 +151,17 @@ fn unit_and_scale_act_on_cameras_and_meshes_alike() {
 }
 
 #[test]
-fn what_is_no_session_no_scene_or_no_camera_file_is_said_in_words() {
-    let folder = tempfile::tempdir().unwrap();
-    assert!(matches!(scene::load(folder.path()), Err(SceneError::NoSession(_))));
-    let session = bare_session();
-    assert!(matches!(scene::load(session.path()), Err(SceneError::NoScene(_))));
+fn what_is_no_scene_or_no_camera_file_is_said_in_words() {
+    let (_folder, session) = bare_session();
+    assert!(matches!(scene::load(&session), Err(SceneError::NoScene(_))));
     let mesh = [shared("scenes/birdbath/geometry/floor.obj")];
     let import = |cameras: &str, scale| {
         let lengths = Lengths { unit: Unit::Metre, scale };
-        scene::import(session.path(), &shared(cameras), &mesh, lengths, &Progress::silent()).unwrap_err()
+        scene::import(&session, &shared(cameras), &mesh, lengths, &Progress::silent()).unwrap_err()
     };
     assert!(matches!(import("data/formats/colmap_bin", 1.0), SceneError::NoCameras(_)));
     assert!(matches!(import("data/formats/realitycapture/parking.csv", 1.0), SceneError::NoCameras(_)));
     assert!(matches!(import("scenes/birdbath/geometry/cameras.xml", -1.0), SceneError::Scale(_)));
     assert!(import("data/formats/metashape_road.xml", 1.0).to_string().contains("metashape_road.xml"));
-    assert!(
-        matches!(scene::load(session.path()), Err(SceneError::NoScene(_))),
-        "a failed import leaves nothing"
-    );
+    assert!(matches!(scene::load(&session), Err(SceneError::NoScene(_))), "a failed import leaves nothing");
 }

@@ -41,7 +41,7 @@ pub enum HostError {
     Link(#[from] io::Error),
 }
 
-/// Serves the camera on `port` (only [`Request::List`] when `None`) until the driver closes the socket.
+/// Serves the camera on `port` (without one, the host can only list cameras) until the driver closes the socket.
 pub fn run(port: Option<&str>) -> Result<(), HostError> {
     let socket = io::stdin().as_fd().try_clone_to_owned().map_err(HostError::NoSocket)?;
     let mut link = UnixStream::from(socket);
@@ -83,6 +83,14 @@ struct Failure {
 impl Failure {
     fn refused(reason: impl Into<String>) -> Self {
         Self { trouble: Trouble::Refused, reason: reason.into() }
+    }
+
+    /// Once the shutter has been released, "busy" must not lead to another release.
+    fn after_release(self) -> Self {
+        match self.trouble {
+            Trouble::Busy => Self { trouble: Trouble::Lost, ..self },
+            _ => self,
+        }
     }
 }
 
@@ -311,19 +319,29 @@ impl Open {
     fn shoot(&mut self) -> Answer<(String, Vec<u8>)> {
         self.end_live()?;
         let path = self.camera.capture_image().wait()?;
-        let mut shot = self.fetch(&path.folder(), &path.name())?;
+        let shot = self.fetch(&path.folder(), &path.name()).map_err(Failure::after_release)?;
+        self.wait_until_ready(shot)
+    }
+
+    /// Waits until the camera is done with the shot whose file is `shot`, and gives the shot's raw file.
+    fn wait_until_ready(&self, mut shot: (String, Vec<u8>)) -> Answer<(String, Vec<u8>)> {
         let until = Instant::now() + READY_AT_MOST;
         while Instant::now() < until {
-            match self.camera.wait_event(SILENCE).wait()? {
-                CameraEvent::CaptureComplete | CameraEvent::Timeout => break,
+            match self.camera.wait_event(SILENCE).wait() {
+                Ok(CameraEvent::CaptureComplete | CameraEvent::Timeout) => break,
                 // The second file of RAW+JPEG: it must leave the camera's memory, and the raw is the one wanted.
-                CameraEvent::NewFile(path) => {
-                    let other = self.fetch(&path.folder(), &path.name())?;
+                Ok(CameraEvent::NewFile(path)) => {
+                    let other = self.fetch(&path.folder(), &path.name()).map_err(Failure::after_release)?;
                     if is_jpeg(&shot.1) && !is_jpeg(&other.1) {
                         shot = other;
                     }
                 }
-                _ => {}
+                Ok(_) => {}
+                // The frame is whole and will not come again; whatever is wrong meets the next request.
+                Err(error) => {
+                    tracing::warn!("camera gave its file, then no word that it is ready: {error}");
+                    break;
+                }
             }
         }
         Ok(shot)

@@ -1,7 +1,7 @@
 //! The camera driver: libgphoto2 in a child process, with a deadline on everything.
 //!
 //! [`HostedCamera`] starts `unlit camera-host` ([`host`]), which alone uses libgphoto2, and asks it over a
-//! local socket ([`protocol`]). libgphoto2 can hang for ever; a host that misses its deadline is killed (and
+//! local socket (`protocol`). libgphoto2 can hang for ever; a host that misses its deadline is killed (and
 //! the device on USB is reset), and the next call starts another. An answer "busy" is asked again a few times.
 
 pub mod host;
@@ -196,8 +196,11 @@ impl HostedCamera {
     ) -> Result<(Reply, Vec<u8>), CameraError> {
         let mut tries = 1;
         loop {
-            self.connect()?;
-            match self.ask(operation, request, deadline) {
+            let answer = match self.connect() {
+                Ok(_) => self.ask(operation, request, deadline),
+                Err(error) => Err(error),
+            };
+            match answer {
                 Err(CameraError::Busy(_)) if tries < BUSY_TRIES => {
                     tries += 1;
                     std::thread::sleep(BUSY_PAUSE);

@@ -5,6 +5,7 @@ use std::io::{self, Read, Write};
 use std::net::Shutdown;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::net::UnixStream;
+use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -47,6 +48,8 @@ impl Process {
             .env_remove("XDG_CONFIG_HOME")
             // Settings are found by their names and chosen by their labels, which must stay English.
             .env("LC_ALL", "C.UTF-8")
+            // Ctrl-C at the terminal is for unlit, which then takes leave of the camera in good order.
+            .process_group(0)
             .stdin(OwnedFd::from(theirs))
             // The library may print where it likes; the socket carries frames alone.
             .stdout(Stdio::from(io::stderr().as_fd().try_clone_to_owned()?));

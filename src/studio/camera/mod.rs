@@ -1,9 +1,9 @@
 //! The simulated camera: a PTP/IP responder on loopback that the unmodified libgphoto2 opens as a Canon EOS.
 //!
 //! It takes a [`View`] (what stands before the lens) and gives a port name for the real driver
-//! (`ptpip:127.0.0.1:COMMANDS:EVENTS`). Packets are those of CIPA DC-005 ([`packet`]), operations those that
-//! libgphoto2's ptp2 driver was seen to use with an EOS ([`responder`], [`datasets`]); the body is in M,
-//! manual focus, RAW alone ([`body`], [`dials`]).
+//! (`ptpip:127.0.0.1:COMMANDS:EVENTS`). Packets are those of CIPA DC-005 (`packet`), operations those that
+//! libgphoto2's ptp2 driver was seen to use with an EOS (`responder`, `datasets`); the body is in M,
+//! manual focus, RAW alone (`body`, `dials`).
 //!
 //! The object is announced in Canon's format b103, so libgphoto2 names it `capt0000.cr2`, whatever name the
 //! body gave; the bytes are those that [`View::expose`] returned, unchanged, and say themselves that they
@@ -19,6 +19,7 @@ use crate::studio::{Exposure, View};
 use body::Body;
 use std::io;
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -79,12 +80,12 @@ impl Shared {
     fn expose(self: &Arc<Self>, exposure: Exposure) -> io::Result<()> {
         let shared = Arc::clone(self);
         self.spawn("shutter", move || {
-            let bytes = shared.view.expose(&exposure);
+            // A view that panics must not leave the body busy for ever; it just has no frame.
+            let frame = catch_unwind(AssertUnwindSafe(|| shared.view.expose(&exposure)));
             if let Ok(mut body) = shared.body() {
-                if bytes.is_empty() {
-                    body.finish_exposure();
-                } else {
-                    body.end_exposure(bytes);
+                match frame {
+                    Ok(bytes) => body.end_exposure(bytes),
+                    Err(_) => body.finish_exposure(),
                 }
             }
         })

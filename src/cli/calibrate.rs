@@ -1,0 +1,84 @@
+//! `unlit calibrate`: measures the rig from calibration shots.
+
+use super::{CliError, CliResult, Exit, progress_bar};
+use crate::pipeline::flash::{CardFacts, CardFiles, calibrate};
+use crate::session::Session;
+use std::path::PathBuf;
+
+/// What to calibrate.
+#[derive(clap::Subcommand)]
+pub(super) enum Calibrate {
+    /// The flash, from shots of a white card that fills the frame and faces the camera.
+    Flash(FlashArgs),
+}
+
+/// Arguments of `unlit calibrate flash`.
+#[derive(clap::Args)]
+pub(super) struct FlashArgs {
+    /// Session folder.
+    session: PathBuf,
+    /// The card's diffuse reflectance; office paper has about 0.94 but is not quite Lambertian.
+    #[arg(long, value_name = "RHO", default_value_t = 0.94)]
+    target_reflectance: f64,
+    /// Inner and outer radius of the flash's luminous ring in metres.
+    #[arg(long, value_name = "IN,OUT", value_parser = radii)]
+    ring_radii: [f64; 2],
+    /// Shots: distance in metres from the lens to the card, and the lit frame; after a comma the unlit frame,
+    /// where the room was not dark. All at one aperture and ISO, at two distances or more.
+    #[arg(long, value_name = "DIST_M=FILE[,OFF]", num_args = 1.., required = true, value_parser = shot)]
+    shots: Vec<CardFiles>,
+    /// Focal length in pixels, where no scene is imported yet: focal length in mm * image width in pixels /
+    /// sensor width in mm.
+    #[arg(long, value_name = "PX")]
+    focal_px: Option<f64>,
+}
+
+fn radii(text: &str) -> Result<[f64; 2], String> {
+    let parts: Vec<f64> = text.split(',').filter_map(|p| p.trim().parse().ok()).collect();
+    <[f64; 2]>::try_from(parts)
+        .map_err(|_| "give inner and outer radius in metres, for example 0.035,0.085".into())
+}
+
+fn shot(text: &str) -> Result<CardFiles, String> {
+    let wrong = || format!("{text:?} is not DISTANCE=FILE, for example 0.8=card80.cr2");
+    let (distance, files) = text.split_once('=').ok_or_else(wrong)?;
+    let distance = distance.trim().parse().map_err(|_| wrong())?;
+    let (on, off) = match files.split_once(',') {
+        Some((on, off)) => (on, Some(PathBuf::from(off))),
+        None => (files, None),
+    };
+    Ok(CardFiles { distance, on: on.into(), off })
+}
+
+pub(super) fn run(what: &Calibrate) -> CliResult {
+    let Calibrate::Flash(args) = what;
+    let session = Session::open(&args.session).map_err(CliError::new)?;
+    let facts = CardFacts {
+        target_reflectance: args.target_reflectance,
+        ring_radii: args.ring_radii,
+        focal_px: args.focal_px,
+    };
+    let (bar, progress) = progress_bar::watched();
+    let fit = calibrate(&session, &args.shots, facts, &progress);
+    bar.finish_and_clear();
+    let fit = fit.map_err(CliError::new)?;
+    println!("{:<28}{:>10}{:>12}{:>12}{:>10}", "card shot", "distance", "flash gain", "residual", "clipped");
+    for shot in &fit.shots {
+        let (gain, rms) = match shot.used {
+            true => (format!("{:.4}", shot.gain), format!("{:.2} %", 100.0 * shot.rms)),
+            false => ("left out".into(), String::new()),
+        };
+        let clipped = 100.0 * shot.clipped;
+        println!("{:<28}{:>8} m{gain:>12}{rms:>12}{clipped:>8.1} %", shot.label, shot.distance);
+    }
+    let [r, g, b] = fit.radiance;
+    println!("radiance of the ring: {r:.0} {g:.0} {b:.0} DN (R G B)");
+    if let Some([r, g, b]) = fit.radiance_error {
+        println!("standard error:       {r:.0} {g:.0} {b:.0} DN");
+    }
+    let [a1, a2, a3] = fit.field.coefficients;
+    println!("vignetting times lobe: 1 {a1:+.4} q {a2:+.4} q^2 {a3:+.4} q^3, q = (r / half diagonal)^2");
+    println!("noise: variance = {:.4} DN * signal + {:.2} DN^2", fit.noise.gain, fit.noise.floor);
+    println!("residual over all shots: {:.2} %", 100.0 * fit.rms);
+    Ok(Exit::Success)
+}

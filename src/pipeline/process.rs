@@ -1,0 +1,373 @@
+//! `process`: a session's accepted pairs to reflectance texture, deviations, view counts and model.
+
+use super::develop::{DevelopError, known_light, lamp};
+use super::flash::{self, FlashError};
+use super::manifest::{StageManifest, digest};
+use super::scene::{self, SceneError};
+use crate::calibration::FlashCalibration;
+use crate::codec::asset::AssetError;
+use crate::codec::exr_image::{self, Meta};
+use crate::export::glb::{self, Colour, GlbError, Model};
+use crate::pair::{PairRecord, Verdict};
+use crate::progress::{Cancelled, Progress};
+use crate::raster::{Image, Rgb};
+use crate::reflectance::atlas;
+use crate::reflectance::bounce::Round;
+use crate::reflectance::orientation::face_cameras;
+use crate::reflectance::texture::{Solver, Stage, Texture, TextureError};
+use crate::scene::{Camera, Scene};
+use crate::session::{Session, SessionError, store};
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Largest texture side that is made.
+const LARGEST_TEXTURE: usize = 16384;
+
+/// What is to be made.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ProcessOptions {
+    /// Side of the texture; by default texels about as large as the photos' pixels on the object.
+    pub texture_size: Option<usize>,
+    /// Also the per-view images.
+    pub views: bool,
+}
+
+/// What was made, and from what; also `model/summary.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ProcessSummary {
+    /// Pairs that went in, by name.
+    pub used: Vec<String>,
+    /// Pairs that did not, with the reason.
+    pub left_out: Vec<LeftOut>,
+    /// Side of the texture.
+    pub texture_size: usize,
+    /// Share of the object's texels that at least one view sees.
+    pub seen: f64,
+    /// Median standard deviation of the seen texels, of 1.
+    pub median_deviation: f64,
+    /// Mean reflectance of the seen texels, camera RGB.
+    pub mean_reflectance: [f64; 3],
+    /// How the rounds of bounces converged.
+    pub rounds: Vec<Round>,
+    /// Meshes whose winding was turned, because the cameras saw them from behind.
+    pub turned: Vec<String>,
+    /// Nothing had changed since the last run, so nothing was computed. Not stored.
+    #[serde(skip)]
+    pub up_to_date: bool,
+    /// Per-view images made in this run, and those that still stood. Not stored.
+    #[serde(skip)]
+    pub views: (usize, usize),
+}
+
+/// A pair that took no part.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LeftOut {
+    /// Pair.
+    pub name: String,
+    /// Why.
+    pub why: String,
+}
+
+/// Why processing stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum ProcessError {
+    /// No pair can be used.
+    #[error("no pair can be processed: {0}")]
+    NoPairs(String),
+    /// A texture size that cannot be.
+    #[error("texture size {0} is not possible: give a number of texels from 16 to {LARGEST_TEXTURE}")]
+    TextureSize(usize),
+    /// Session.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// Scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// Calibration.
+    #[error(transparent)]
+    Flash(#[from] FlashError),
+    /// A pair.
+    #[error(transparent)]
+    Develop(#[from] DevelopError),
+    /// Solving.
+    #[error(transparent)]
+    Texture(TextureError),
+    /// Writing an image.
+    #[error(transparent)]
+    Asset(#[from] AssetError),
+    /// Writing the model.
+    #[error(transparent)]
+    Glb(#[from] GlbError),
+    /// The file system refused.
+    #[error("cannot write {}: {source}", path.display())]
+    Io {
+        /// File or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Stopped on request.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl From<TextureError> for ProcessError {
+    fn from(error: TextureError) -> Self {
+        match error {
+            TextureError::Cancelled(c) => Self::Cancelled(c),
+            other => Self::Texture(other),
+        }
+    }
+}
+
+/// Everything that goes in, read and matched.
+pub(super) struct Inputs {
+    pub(super) calibration: FlashCalibration,
+    pub(super) scene: Scene,
+    /// Accepted pairs with their cameras, by name.
+    pub(super) matched: Vec<(PairRecord, Camera)>,
+    pub(super) left_out: Vec<LeftOut>,
+    /// Digest of all of it.
+    pub(super) key: String,
+}
+
+/// Makes what is not made yet. Files in `model/` appear whole or not at all.
+pub fn process(
+    session: &Session,
+    options: &ProcessOptions,
+    progress: &Progress,
+) -> Result<ProcessSummary, ProcessError> {
+    let inputs = Inputs::read(session)?;
+    let size = texture_size(options, &inputs)?;
+    let key = digest(&[inputs.key.as_bytes(), &size.to_le_bytes()]);
+    let mut manifest = StageManifest::load(session);
+    let mut summary = match stored(session).filter(|_| manifest.is_done(session, "texture", &key)) {
+        Some(summary) => ProcessSummary { up_to_date: true, ..summary },
+        None => {
+            let summary = solve_and_write(session, inputs.clone_scene(), &inputs, size, progress)?;
+            manifest.note(session, "texture", &key, &outputs()).map_err(io(&session.derived_dir()))?;
+            summary
+        }
+    };
+    if options.views {
+        summary.views = super::views::make(session, &inputs, &key, &mut manifest, progress)?;
+        summary.up_to_date &= summary.views.0 == 0;
+    }
+    Ok(summary)
+}
+
+/// The summary of the last run, if there is one.
+pub fn stored(session: &Session) -> Option<ProcessSummary> {
+    serde_json::from_slice(&std::fs::read(session.model_dir().join("summary.json")).ok()?).ok()
+}
+
+fn outputs() -> Vec<String> {
+    ["reflectance.exr", "stddev.exr", "views.exr", "model.glb", "summary.json"]
+        .map(|name| format!("model/{name}"))
+        .into_iter()
+        .chain([super::views::ELEMENTS.to_owned()])
+        .collect()
+}
+
+impl Inputs {
+    pub(super) fn read(session: &Session) -> Result<Self, ProcessError> {
+        let calibration = flash::load(session)?;
+        let scene = scene::load(session)?;
+        let (mut matched, mut left_out) = (vec![], vec![]);
+        for pair in session.pairs()? {
+            let name = pair.name.clone();
+            if pair.verdict == Verdict::Rejected {
+                let why = pair.reasons.iter().map(|r| r.sentence.clone()).collect::<Vec<_>>().join(" ");
+                left_out.push(LeftOut { name, why: format!("rejected: {why}") });
+            } else if let Some(camera) = scene.cameras.iter().find(|c| c.name == name) {
+                matched.push((pair, camera.clone()));
+            } else {
+                left_out.push(LeftOut { name, why: "the scene has no camera of this name".into() });
+            }
+        }
+        if matched.is_empty() {
+            return Err(ProcessError::NoPairs(no_pairs(&left_out, &scene)));
+        }
+        let mut parts: Vec<Vec<u8>> = vec![];
+        for path in [flash::file(session), session.scene_dir().join("scene.json")] {
+            parts.push(std::fs::read(&path).map_err(io(&path))?);
+        }
+        for (pair, _) in &matched {
+            parts.push(format!("{} {} {}", pair.name, pair.off.blake3, pair.on.blake3).into_bytes());
+        }
+        let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
+        Ok(Self { calibration, scene, matched, left_out, key })
+    }
+
+    fn clone_scene(&self) -> Scene {
+        self.scene.clone()
+    }
+}
+
+/// The scene made ready for light: meshes face the cameras that see them. Gives the names of those turned.
+pub(super) fn stage(scene: &mut Scene) -> (Stage, Vec<String>) {
+    let stage = Stage::build(&scene.meshes);
+    let turned = face_cameras(&mut scene.meshes, &stage.elements, &scene.cameras);
+    if turned.is_empty() { (stage, turned) } else { (Stage::build(&scene.meshes), turned) }
+}
+
+pub(super) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> ProcessError + '_ {
+    move |source| ProcessError::Io { path: path.to_owned(), source }
+}
+
+fn no_pairs(left_out: &[LeftOut], scene: &Scene) -> String {
+    let cameras: Vec<&str> = scene.cameras.iter().take(3).map(|c| c.name.as_str()).collect();
+    match left_out.first() {
+        None => "the session has none; shoot or import some".into(),
+        Some(first) => format!(
+            "all {} were left out; {}: {} (the scene's cameras are called {}, ...)",
+            left_out.len(),
+            first.name,
+            first.why,
+            cameras.join(", ")
+        ),
+    }
+}
+
+fn texture_size(options: &ProcessOptions, inputs: &Inputs) -> Result<usize, ProcessError> {
+    if let Some(size) = options.texture_size {
+        let possible = (16..=LARGEST_TEXTURE).contains(&size);
+        return if possible { Ok(size) } else { Err(ProcessError::TextureSize(size)) };
+    }
+    let Some(object) = inputs.scene.meshes.first() else { return Ok(1024) };
+    let n = object.positions.len().max(1) as f32;
+    let centre = (object.positions.iter().copied().sum::<Vec3>() / n).as_dvec3();
+    let finest = inputs
+        .matched
+        .iter()
+        .map(|(_, camera)| (camera.centre() - centre).length() / camera.intrinsics.focal.max_element())
+        .fold(f64::INFINITY, f64::min);
+    Ok(atlas::fitting_size(object, finest))
+}
+
+fn solve_and_write(
+    session: &Session,
+    mut scene: Scene,
+    inputs: &Inputs,
+    size: usize,
+    progress: &Progress,
+) -> Result<ProcessSummary, ProcessError> {
+    let (stage, turned) = stage(&mut scene);
+    let Some(object) = scene.meshes.first() else { return Err(SceneError::NoMesh.into()) };
+    let mut solver = Solver::new(object, &stage, size).map_err(TextureError::from)?;
+    for (i, (pair, camera)) in inputs.matched.iter().enumerate() {
+        progress.report("looking through the views", i, inputs.matched.len());
+        let known = known_light(session, pair, &inputs.calibration)?;
+        let expected = (camera.intrinsics.width, camera.intrinsics.height);
+        let got = (known.rgb.width(), known.rgb.height());
+        if got != expected {
+            return Err(DevelopError::Size { name: pair.name.clone(), got, expected }.into());
+        }
+        solver.add(camera, &known, &lamp(pair, &inputs.calibration)?, progress)?;
+    }
+    let texture = solver.solve(progress)?;
+    let mut summary = summarise(inputs, &texture, size);
+    summary.turned = turned;
+    progress.report("writing the model", 0, 1);
+    write(session, &scene, &texture, &summary)?;
+    super::views::keep_elements(session, &texture.bounces.rho)?;
+    Ok(summary)
+}
+
+fn summarise(inputs: &Inputs, texture: &Texture, size: usize) -> ProcessSummary {
+    let (mut deviations, mut sum) = (vec![], [0.0f64; 3]);
+    for e in texture.estimates.pixels().iter().flatten() {
+        deviations.push(e.sd.iter().sum::<f32>() / 3.0);
+        for c in 0..3 {
+            sum[c] += f64::from(e.rho[c]);
+        }
+    }
+    deviations.sort_by(f32::total_cmp);
+    let seen = deviations.len();
+    ProcessSummary {
+        used: inputs.matched.iter().map(|(p, _)| p.name.clone()).collect(),
+        left_out: inputs.left_out.clone(),
+        texture_size: size,
+        seen: seen as f64 / texture.surface.max(1) as f64,
+        median_deviation: deviations.get(seen / 2).map_or(0.0, |d| f64::from(*d)),
+        mean_reflectance: sum.map(|s| s / seen.max(1) as f64),
+        rounds: texture.rounds.clone(),
+        turned: vec![],
+        up_to_date: false,
+        views: (0, 0),
+    }
+}
+
+fn write(
+    session: &Session,
+    scene: &Scene,
+    texture: &Texture,
+    summary: &ProcessSummary,
+) -> Result<(), ProcessError> {
+    let model = session.model_dir();
+    let meta = |what: &str| Meta {
+        colour_space: Some("camera RGB, uncalibrated".into()),
+        software: Some(concat!("unlit ", env!("CARGO_PKG_VERSION")).into()),
+        comments: Some(what.into()),
+    };
+    let rho: Rgb = atlas::fill(&texture.filled);
+    let sd = texture.estimates.map(|e| e.map_or([0.0; 3], |e| e.sd));
+    let views: Image<f32> = texture.estimates.map(|e| e.map_or(0.0, |e| f32::from(e.views)));
+    whole(&model.join("reflectance.exr"), |to| {
+        exr_image::write_rgb(to, &rho, &meta("diffuse reflectance, 0 to 1; row 0 at v = 1"))
+    })?;
+    whole(&model.join("stddev.exr"), |to| {
+        exr_image::write_rgb(to, &sd, &meta("standard deviation of the reflectance; 0 where views.exr is 0"))
+    })?;
+    whole(&model.join("views.exr"), |to| {
+        exr_image::write_grey(to, &views, &meta("views that made up each texel; 0: not seen, filled"))
+    })?;
+    let Some(object) = scene.meshes.first() else { return Err(SceneError::NoMesh.into()) };
+    let glb = glb::encode(&Model {
+        mesh: object,
+        texture: &rho,
+        colour: Colour::Uncalibrated,
+        up: up(&scene.cameras),
+        provenance: json!({
+            "session": session.manifest().name,
+            "pairs": summary.used,
+            "seen": summary.seen,
+            "median_standard_deviation": summary.median_deviation,
+            "method": "flash-only light over simulated ring-flash light with bounces, weighted least squares over views",
+        }),
+    })?;
+    let path = model.join("model.glb");
+    store::write_atomic(&path, &glb).map_err(io(&path))?;
+    let path = model.join("summary.json");
+    let bytes = serde_json::to_vec_pretty(summary).map_err(std::io::Error::other).map_err(io(&path))?;
+    store::write_atomic(&path, &bytes).map_err(io(&path))
+}
+
+/// Writes a file under a temporary name and gives it its own when it is whole.
+pub(super) fn whole<E>(path: &Path, write: impl FnOnce(&Path) -> Result<(), E>) -> Result<(), ProcessError>
+where
+    ProcessError: From<E>,
+{
+    let folder = path.parent().unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder).map_err(io(folder))?;
+    let beside = tempfile::Builder::new()
+        .prefix(store::TEMPORARY_PREFIX)
+        .suffix(".exr")
+        .tempfile_in(folder)
+        .map_err(io(folder))?;
+    write(beside.path())?;
+    beside.as_file().sync_all().map_err(io(path))?;
+    beside.persist(path).map_err(|e| ProcessError::Io { path: path.to_owned(), source: e.error })?;
+    store::sync_folder(folder).map_err(io(folder))
+}
+
+/// The world axis that the cameras hold up; `None` when they do not agree on one.
+fn up(cameras: &[Camera]) -> Option<Vec3> {
+    let sum: glam::DVec3 = cameras.iter().map(|c| -c.world_from_camera.matrix3.y_axis).sum();
+    let mean = (sum / cameras.len().max(1) as f64).as_vec3();
+    let axis = mean.abs().max_position();
+    let snapped = Vec3::AXES[axis] * mean[axis].signum();
+    (mean.length() > 0.2 && mean.normalize().dot(snapped) > 0.8).then_some(snapped)
+}

@@ -1,0 +1,99 @@
+//! Per-view images: `derived/views/NAME/{known,irradiance,reflectance}.exr`, for those who texture elsewhere.
+//!
+//! `known`: the flash's own light as the photo has it, linear camera RGB in DN. `irradiance`: what a white
+//! Lambertian surface would have read there, bounces included, in DN. `reflectance` is the one over the other, with
+//! a fourth channel A: 1 where it is known, 0 (and R, G, B 0) where the view shows no mesh, a site was clipped,
+//! or too little light fell.
+
+use super::develop::{known_light, lamp};
+use super::manifest::{StageManifest, digest};
+use super::process::{Inputs, ProcessError, ProcessOptions, io, process, stage, whole};
+use crate::codec::exr_image::{self, Meta};
+use crate::progress::Progress;
+use crate::reflectance::bounce::simulate;
+use crate::reflectance::maps::view_maps;
+use crate::session::{Session, store};
+
+/// Reflectance of the surface elements as the texture's run left it, three little-endian f32 an element.
+pub(super) const ELEMENTS: &str = "derived/elements.f32";
+
+/// Makes the per-view images that are missing or out of date, and the texture if that is. Gives the numbers of
+/// images made and of those that still stood.
+pub fn ensure(session: &Session, progress: &Progress) -> Result<(usize, usize), ProcessError> {
+    let size = super::process::stored(session).map(|s| s.texture_size);
+    Ok(process(session, &ProcessOptions { texture_size: size, views: true }, progress)?.views)
+}
+
+pub(super) fn keep_elements(session: &Session, rho: &[[f32; 3]]) -> Result<(), ProcessError> {
+    let path = session.path().join(ELEMENTS);
+    let bytes: Vec<u8> = rho.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+    store::write_atomic(&path, &bytes).map_err(io(&path))
+}
+
+fn elements(session: &Session) -> Result<Vec<[f32; 3]>, ProcessError> {
+    let path = session.path().join(ELEMENTS);
+    let bytes = std::fs::read(&path).map_err(io(&path))?;
+    let number = |at: &[u8]| f32::from_le_bytes([at[0], at[1], at[2], at[3]]);
+    Ok(bytes.chunks_exact(12).map(|e| [number(e), number(&e[4..]), number(&e[8..])]).collect())
+}
+
+pub(super) fn make(
+    session: &Session,
+    inputs: &Inputs,
+    texture_key: &str,
+    manifest: &mut StageManifest,
+    progress: &Progress,
+) -> Result<(usize, usize), ProcessError> {
+    let stage_name = |name: &str| format!("view {name}");
+    let key = |name: &str| digest(&[texture_key.as_bytes(), name.as_bytes()]);
+    let (mut missing, mut standing) = (vec![], 0);
+    for (pair, camera) in &inputs.matched {
+        if manifest.is_done(session, &stage_name(&pair.name), &key(&pair.name)) {
+            standing += 1;
+        } else {
+            missing.push((pair, camera));
+        }
+    }
+    if missing.is_empty() {
+        return Ok((0, standing));
+    }
+    let mut scene = inputs.scene.clone();
+    let (stage, _) = stage(&mut scene);
+    let transport = stage.transport(progress)?;
+    let rho = elements(session)?;
+    let made = missing.len();
+    for (i, (pair, camera)) in missing.into_iter().enumerate() {
+        progress.report("per-view images", i, made);
+        let known = known_light(session, pair, &inputs.calibration)?;
+        let lamp = lamp(pair, &inputs.calibration)?;
+        let direct = stage.direct(camera, &lamp, progress)?;
+        let bounced = simulate(&transport, &direct, lamp.radiance, &rho);
+        let maps = view_maps(camera, &known, &lamp, &stage.elements, &bounced, stage.offset, progress)?;
+        let folder = format!("derived/views/{}", pair.name);
+        let names = ["known", "irradiance", "reflectance"].map(|n| format!("{folder}/{n}.exr"));
+        let meta = |what: &str| Meta {
+            colour_space: Some("camera RGB, uncalibrated".into()),
+            software: Some(concat!("unlit ", env!("CARGO_PKG_VERSION")).into()),
+            comments: Some(what.into()),
+        };
+        let [known_file, irradiance_file, reflectance_file] =
+            names.each_ref().map(|n| session.path().join(n));
+        whole(&known_file, |to| {
+            exr_image::write_rgb(to, &known.rgb, &meta("light of the flash alone, DN; 0 where clipped"))
+        })?;
+        whole(&irradiance_file, |to| {
+            exr_image::write_rgb(
+                to,
+                &maps.white,
+                &meta("reading of a white surface in the flash's light, DN"),
+            )
+        })?;
+        let reflectance = maps.reflectance.map(|p| p.map_or([0.0; 4], |[r, g, b]| [r, g, b, 1.0]));
+        whole(&reflectance_file, |to| {
+            exr_image::write_rgba(to, &reflectance, &meta("known over irradiance; A = 1 where known"))
+        })?;
+        let note = manifest.note(session, &stage_name(&pair.name), &key(&pair.name), &names);
+        note.map_err(io(&session.derived_dir()))?;
+    }
+    Ok((made, standing))
+}
