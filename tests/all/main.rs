@@ -1,10 +1,7 @@
 //! The one integration-test binary; a module a subject.
-
-mod api;
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test's helpers may fail as its body may")]
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that panics has spoken")]
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on stops where it is")]
 
+mod api;
 mod camera;
 mod capture;
 mod evaluate;
