@@ -3,12 +3,14 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test's helpers may fail as its body may")]
 
 mod api;
+mod birdbath;
 mod camera;
 mod capture;
 mod evaluate;
 mod fake_rig;
 mod flash;
 mod floors;
+mod main_job;
 mod pairs;
 mod raw;
 mod scene_import;
