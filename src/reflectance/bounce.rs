@@ -18,8 +18,8 @@ const MOST_ROUNDS: usize = 6;
 const STILL: f64 = 2e-4;
 
 /// Bounces simulated from nothing, and on top of the round before.
-const FIRST_BOUNCES: usize = 8;
-const MORE_BOUNCES: usize = 3;
+const FIRST_BOUNCES: usize = 6;
+const MORE_BOUNCES: usize = 2;
 
 /// Transport loses no energy of its own, so a reflectance at or above one would grow without end.
 const MOST_REFLECTANCE: f32 = 0.97;

@@ -134,28 +134,65 @@ impl View<'_> {
         Some(Observation { known, variance, white, resolution, response })
     }
 
-    /// Bilinear reading of the known light; `None` outside the frame or beside an unknown pixel.
+    /// Reading of the known light between pixels: cubic convolution, which does not blur as bilinear does;
+    /// bilinear where a pixel of the 4x4 is not known. `None` outside the frame or beside an unknown pixel.
     fn read(&self, pixel: DVec2) -> Option<([f32; 3], [f32; 3])> {
         let (x, y) = (pixel.x - 0.5, pixel.y - 0.5);
         let (x0, y0) = (x.floor(), y.floor());
         let (fx, fy) = ((x - x0) as f32, (y - y0) as f32);
+        let corner = (x0 as isize - 1, y0 as isize - 1);
+        self.weighted(corner, &cubic(fx), &cubic(fy))
+            .or_else(|| self.weighted(corner, &[0.0, 1.0 - fx, fx, 0.0], &[0.0, 1.0 - fy, fy, 0.0]))
+    }
+
+    /// Sum over 4x4 pixels from `corner` on; pixels of weight 0 need not be known.
+    fn weighted(
+        &self,
+        corner: (isize, isize),
+        across: &[f32; 4],
+        down: &[f32; 4],
+    ) -> Option<([f32; 3], [f32; 3])> {
         let (mut known, mut variance) = ([0.0; 3], [0.0; 3]);
-        for (dx, dy, w) in [
-            (0, 0, (1.0 - fx) * (1.0 - fy)),
-            (1, 0, fx * (1.0 - fy)),
-            (0, 1, (1.0 - fx) * fy),
-            (1, 1, fx * fy),
-        ] {
-            let (px, py) = (x0 as isize + dx, y0 as isize + dy);
-            if !*self.known.valid.get(px, py)? {
-                return None;
-            }
-            let (value, var) = (self.known.rgb.get(px, py)?, self.known.variance.get(px, py)?);
-            for c in 0..3 {
-                known[c] += w * value[c];
-                variance[c] += w * var[c];
+        for (j, wy) in down.iter().enumerate() {
+            for (i, wx) in across.iter().enumerate() {
+                let w = wx * wy;
+                if w == 0.0 {
+                    continue;
+                }
+                let (px, py) = (corner.0 + i as isize, corner.1 + j as isize);
+                if !*self.known.valid.get(px, py)? {
+                    return None;
+                }
+                let (value, var) = (self.known.rgb.get(px, py)?, self.known.variance.get(px, py)?);
+                for c in 0..3 {
+                    known[c] += w * value[c];
+                    variance[c] += w * w * var[c];
+                }
             }
         }
         Some((known, variance))
+    }
+}
+
+/// Weights of four neighbours for a position `f` between the middle two (Keys, "Cubic convolution
+/// interpolation for digital image processing", 1981, a = -1/2).
+fn cubic(f: f32) -> [f32; 4] {
+    let (f2, f3) = (f * f, f * f * f);
+    [-0.5 * f3 + f2 - 0.5 * f, 1.5 * f3 - 2.5 * f2 + 1.0, -1.5 * f3 + 2.0 * f2 + 0.5 * f, 0.5 * f3 - 0.5 * f2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cubic_weights_reproduce_parabolas() {
+        for f in [0.0f32, 0.2, 0.5, 0.9] {
+            let sum = |power: i32| -> f32 {
+                cubic(f).iter().enumerate().map(|(i, w)| w * (i as f32 - 1.0).powi(power)).sum()
+            };
+            assert!((sum(0) - 1.0).abs() < 1e-6);
+            assert!((sum(1) - f).abs() < 1e-6 && (sum(2) - f * f).abs() < 1e-5, "{f}");
+        }
     }
 }

@@ -23,7 +23,7 @@ const OTHER_EDGE: f32 = 0.04;
 const OFFSET: f64 = 1e-4;
 
 /// Rays per element for the bounces, and the bound on all of them together (4 bytes each).
-const RAYS: usize = 96;
+const RAYS: usize = 64;
 const MOST_RAYS: usize = 160_000_000;
 
 /// Texels per tile between two looks at the cancel flag.
