@@ -179,7 +179,7 @@ impl Engine {
     /// Shoots two frames into `place` and says how they were judged.
     fn shoot(&self, place: &mut dyn Place, progress: &Progress) -> Result<Verdict, CaptureError> {
         let mut bench = lock(&self.bench);
-        let outcome = Run::new(&mut bench, place, &self.prompter, &self.limits, progress).to_the_end();
+        let outcome = Run::new(&mut bench, place, &self.prompter, &self.limits, progress).finish();
         if let Err(CaptureError::Camera(_) | CaptureError::Flash(_) | CaptureError::NoFlash) = outcome {
             let seen = bench.look();
             drop(bench);

@@ -65,7 +65,7 @@ impl<'a> Run<'a> {
     }
 
     /// Drives the state machine from the first event to the end.
-    pub(super) fn to_the_end(&mut self) -> Result<Verdict, CaptureError> {
+    pub(super) fn finish(&mut self) -> Result<Verdict, CaptureError> {
         let (mut state, effects) = step(State::Ready, Event::Go);
         let mut waiting = VecDeque::from(effects);
         let mut cancelled = false;

@@ -68,7 +68,8 @@ fn api() -> OpenApiRouter<App> {
 
 /// The OpenAPI document, pretty JSON with a newline at its end, as `docs/openapi.json` holds it.
 pub fn openapi() -> Result<String, serde_json::Error> {
-    Ok(api().into_openapi().to_pretty_json()? + "\n")
+    // `{*path}` is axum's way to say that a parameter may hold slashes; OpenAPI has none.
+    Ok(api().into_openapi().to_pretty_json()?.replace("/{*path}", "/{path}") + "\n")
 }
 
 /// Answers on `listener` until `shutdown` resolves; then lets running answers end and returns.
@@ -98,7 +99,7 @@ pub async fn serve(
         ended = answering => ended,
         () = async {
             // An error says that the sender is gone: then there is nothing left to wait for.
-            let _ended = ending.wait_for(|closing| *closing).await;
+            drop(ending.wait_for(|closing| *closing).await);
             tokio::time::sleep(LAST_ANSWERS).await;
         } => Ok(()),
     }

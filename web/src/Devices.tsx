@@ -28,6 +28,7 @@ export function Devices({ live }: { live: Live }) {
 }
 
 function Device({ name, state }: { name: string; state: DeviceState | undefined }) {
+  const [device, port] = (state?.description ?? "").split(" on ", 2);
   return (
     <div class={state?.ready ? "ready" : "missing"}>
       <dt>
@@ -35,7 +36,8 @@ function Device({ name, state }: { name: string; state: DeviceState | undefined 
         {name}
       </dt>
       <dd>
-        {state?.description && <span>{state.description}</span>}
+        {device && <span>{device}</span>}
+        {port && <span class="port">{port}</span>}
         <span class="dim">{state?.words ?? words.looking}</span>
       </dd>
     </div>

@@ -51,7 +51,7 @@ export function Shutter({ live }: { live: Live }) {
           <span class="ring" aria-hidden="true" />
           <span>
             {job ? words.taking : words.take}
-            <small>{words.space}</small>
+            {!job && <small class="keys">{words.space}</small>}
           </span>
         </button>
       ) : (
@@ -79,11 +79,14 @@ export function Shutter({ live }: { live: Live }) {
           <p class="dim">{words.idle}</p>
         )}
       </div>
-      {job && (
-        <button type="button" class="quiet" onClick={() => void live.attempt(api.cancel(job.id))}>
-          {words.cancel}
-        </button>
-      )}
+      <button
+        type="button"
+        class="quiet"
+        style={{ visibility: job ? "visible" : "hidden" }}
+        onClick={() => void (job && live.attempt(api.cancel(job.id)))}
+      >
+        {words.cancel}
+      </button>
     </section>
   );
 }

@@ -20,7 +20,7 @@ use tokio_stream::wrappers::ReceiverStream;
 const PIECE: usize = 256 * 1024;
 
 /// A file of a session: originals, results, derived images.
-#[utoipa::path(get, path = "/api/v1/sessions/{session}/files/{path}", tag = "capture",
+#[utoipa::path(get, path = "/api/v1/sessions/{session}/files/{*path}", tag = "capture",
     params(("session" = String, Path, description = "Name of the session"),
         ("path" = String, Path, description = "Path inside the session, with its slashes")),
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
