@@ -56,7 +56,7 @@ pub fn known_light(
         rayon::join(|| raw::read(&folder.join(&pair.on.file)), || raw::read(&folder.join(&pair.off.file)));
     let scale = exposure(&pair.on.settings) / exposure(&pair.off.settings);
     isolate(&on?.mosaic, &off?.mosaic, scale as f32, &calibration.noise)
-        .map(|mosaic| demosaic(&mosaic))
+        .map(|mosaic| demosaic(&mosaic, calibration.radiance))
         .map_err(|source| DevelopError::Isolate { name: pair.name.clone(), source })
 }
 

@@ -173,7 +173,7 @@ pub fn simulate(
 /// The observation with bounced irradiance (DN) added to what white would have read.
 pub fn reading(o: &Observation, bounced: &[f32; 3]) -> Reading {
     let white = std::array::from_fn(|c| o.white[c] + o.response * bounced[c]);
-    Reading { known: o.known, variance: o.variance, white }
+    Reading { known: o.known, variance: o.variance, white, resolution: o.resolution }
 }
 
 /// Observations sorted by element.

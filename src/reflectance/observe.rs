@@ -35,6 +35,8 @@ pub struct Observation {
     pub variance: [f32; 3],
     /// What a white surface would have read in the flash's light, DN.
     pub white: [f32; 3],
+    /// Pixels per square metre of surface: how finely the view sees it.
+    pub resolution: f32,
     /// Factor from irradiance (DN) to reading: field factor / pi. Bounced light enters `white` through it.
     pub response: f32,
 }
@@ -116,7 +118,7 @@ impl View<'_> {
         if normal.as_dvec3().dot(way) <= GRAZING * way.length() {
             return None;
         }
-        let (pixel, _) = camera.project(point.as_dvec3())?;
+        let (pixel, depth) = camera.project(point.as_dvec3())?;
         let (known, mut variance) = self.read(pixel)?;
         if self.illumination.sees(point, normal)? {
             for (v, k) in variance.iter_mut().zip(known) {
@@ -126,7 +128,10 @@ impl View<'_> {
         let unit = self.illumination.direct(point, normal);
         let response = lamp.field.at(&camera.intrinsics, pixel) / PI;
         let white = lamp.radiance.map(|r| (r * response * unit) as f32);
-        Some(Observation { known, variance, white, response: response as f32 })
+        let focal = camera.intrinsics.focal;
+        let resolution = focal.x * focal.y * normal.as_dvec3().dot(way) / (depth * depth * depth);
+        let (resolution, response) = (resolution as f32, response as f32);
+        Some(Observation { known, variance, white, resolution, response })
     }
 
     /// Bilinear reading of the known light; `None` outside the frame or beside an unknown pixel.
