@@ -85,6 +85,7 @@ figure{margin:0}figcaption{color:var(--dim);font-size:.88em;line-height:1.45;mar
 img{display:block;width:100%;height:auto;border-radius:4px}\
 .scale{display:flex;align-items:center;gap:.6rem;margin-top:.5rem;font-size:.88em;color:var(--dim)}\
 .scale i{flex:1;height:.5rem;border-radius:2px}\
+@media(max-width:36rem){main{padding:2rem 1.1rem 3rem}dl{grid-template-columns:1fr;gap:0}dd{margin-bottom:.5rem}}\
 @media print{section{break-inside:avoid}main{padding:0}}";
 
 /// The report as HTML.

@@ -22,6 +22,7 @@ use crate::session::{Session, SessionError, store};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 /// Largest texture side that is made.
@@ -370,6 +371,8 @@ where
     let beside = tempfile::Builder::new()
         .prefix(store::TEMPORARY_PREFIX)
         .suffix(".exr")
+        // As every other file: readable by whom the process's mask lets read it.
+        .permissions(std::fs::Permissions::from_mode(0o666))
         .tempfile_in(folder)
         .map_err(io(folder))?;
     write(beside.path())?;

@@ -36,9 +36,9 @@ pub(super) fn html(told: &Told<'_>) -> Result<String, PngError> {
     let title = format!("Reflectance of {}", told.manifest.name);
     let n = told.summary.used.len();
     let subtitle = format!(
-        "{n} {}, session made {}, {}",
+        "{n} {}, session made {} UTC, {}",
         if n == 1 { "pair" } else { "pairs" },
-        told.manifest.created,
+        moment(&told.manifest.created),
         told.manifest.software
     );
     let sections = vec![
@@ -154,7 +154,9 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
     let fit = told.calibration;
     let mut facts = vec![];
     if let Some(settings) = told.pairs.first().map(|p| &p.on.settings) {
-        let names = [&settings.make, &settings.model, &settings.lens];
+        // Most models name their maker.
+        let named = |make: &&String| settings.model.as_ref().is_none_or(|m| !m.starts_with(make.as_str()));
+        let names = [settings.make.as_ref().filter(named), settings.model.as_ref(), settings.lens.as_ref()];
         let camera: Vec<&str> = names.into_iter().flatten().map(String::as_str).collect();
         let exposure = [
             settings.shutter.map(|s| s.to_string()),
@@ -169,7 +171,8 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
     }
     let times = || told.pairs.iter().filter_map(|p| p.off.settings.taken_at.as_deref());
     if let (Some(first), Some(last)) = (times().min(), times().max()) {
-        facts.push(fact("Photographed", format!("{first} to {last}, the camera's clock")));
+        let span = format!("{} to {}, the camera's clock", moment(first), moment(last));
+        facts.push(fact("Photographed", span));
     }
     let [a1, a2, a3] = fit.field.coefficients;
     let radiance = match fit.radiance_error {
@@ -239,6 +242,11 @@ fn files() -> Vec<Block> {
 
 fn fact(name: &str, value: String) -> (String, String) {
     (name.to_owned(), value)
+}
+
+/// Date and minute of an ISO 8601 moment.
+fn moment(iso: &str) -> String {
+    iso.get(..16).unwrap_or(iso).replace('T', " ")
 }
 
 fn or_untold(text: String) -> String {
@@ -320,7 +328,7 @@ mod tests {
         let html = of("vase <script>", [0.5; 3]);
         for words in [
             "Reflectance of vase &lt;script&gt;",
-            "2026-01-02T03:04:05Z",
+            "2026-01-02 03:04 UTC",
             "640 x 640 texels",
             "87.50 %",
             "0.2500 0.5000 0.7500",
