@@ -94,7 +94,7 @@ fn fit(points: &[(f64, f64)]) -> Option<NoiseModel> {
             sxy += w * x * y;
         }
         let determinant = s * sxx - sx * sx;
-        if !(determinant > 1e-12 * s * sxx) {
+        if determinant.is_nan() || determinant <= 1e-12 * s * sxx {
             // One signal level only: all of it is shot noise, as far as can be told.
             let mean = sx / s;
             return (mean > 0.0).then(|| NoiseModel { gain: (sy / s / mean) as f32, floor: 0.25 });

@@ -286,8 +286,8 @@ fn summarise(inputs: &Inputs, texture: &Texture, size: usize) -> ProcessSummary 
     let (mut deviations, mut sum) = (vec![], [0.0f64; 3]);
     for e in texture.estimates.pixels().iter().flatten() {
         deviations.push(e.sd.iter().sum::<f32>() / 3.0);
-        for c in 0..3 {
-            sum[c] += f64::from(e.rho[c]);
+        for (sum, rho) in sum.iter_mut().zip(e.rho) {
+            *sum += f64::from(rho);
         }
     }
     deviations.sort_by(f32::total_cmp);

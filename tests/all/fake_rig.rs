@@ -13,7 +13,7 @@ use unlit::units::{FNumber, Iso, Seconds};
 
 /// What is wrong in the room.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Trouble {
+pub(crate) enum Trouble {
     /// Nothing.
     #[default]
     None,
@@ -44,27 +44,27 @@ struct Inside {
 
 /// The room that camera and flash share; clones are the same room.
 #[derive(Clone, Default)]
-pub struct Room(Arc<Mutex<Inside>>);
+pub(crate) struct Room(Arc<Mutex<Inside>>);
 
 impl Room {
-    pub fn with(trouble: Trouble) -> Self {
+    pub(crate) fn with(trouble: Trouble) -> Self {
         let room = Self::default();
         room.set(trouble);
         room
     }
 
-    pub fn set(&self, trouble: Trouble) {
+    pub(crate) fn set(&self, trouble: Trouble) {
         let mut inside = self.0.lock().unwrap();
         inside.trouble = trouble;
         inside.releases = 0;
     }
 
     /// What camera and flash were asked to do, in order.
-    pub fn log(&self) -> Vec<&'static str> {
+    pub(crate) fn log(&self) -> Vec<&'static str> {
         self.0.lock().unwrap().log.clone()
     }
 
-    pub fn is_armed(&self) -> bool {
+    pub(crate) fn is_armed(&self) -> bool {
         self.0.lock().unwrap().armed.is_some()
     }
 
@@ -76,7 +76,7 @@ impl Room {
     }
 
     /// Both devices, the flash behind its controller.
-    pub fn rig(&self) -> RigSource {
+    pub(crate) fn rig(&self) -> RigSource {
         let (camera, flash) = (self.clone(), self.clone());
         RigSource {
             camera: Box::new(move || camera.camera()),
@@ -85,13 +85,13 @@ impl Room {
     }
 
     /// The camera, and a flash of the given other kind.
-    pub fn rig_with(&self, flash: fn() -> FlashKind) -> RigSource {
+    pub(crate) fn rig_with(&self, flash: fn() -> FlashKind) -> RigSource {
         let camera = self.clone();
         RigSource { camera: Box::new(move || camera.camera()), flash: Box::new(move || Ok(flash())) }
     }
 
     /// For a flash that is switched by hand: whether it is on.
-    pub fn switch_flash(&self, on: bool) {
+    pub(crate) fn switch_flash(&self, on: bool) {
         self.0.lock().unwrap().armed = on.then_some(0);
     }
 }

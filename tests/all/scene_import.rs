@@ -8,7 +8,7 @@ use unlit::scene::import::{blocks_exchange, colmap_text};
 use unlit::session::Session;
 
 /// A file of the shared samples; fails by name where they are not laid out.
-pub fn shared(path: &str) -> PathBuf {
+pub(crate) fn shared(path: &str) -> PathBuf {
     let root = std::env::var_os("UNLIT_SHARED")
         .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared")), PathBuf::from);
     let path = root.join(path);
@@ -90,14 +90,14 @@ fn an_agisoft_file_is_recognised_as_something_else() {
 }
 
 /// A new session in a folder that goes with it.
-pub fn bare_session() -> (tempfile::TempDir, Session) {
+pub(crate) fn bare_session() -> (tempfile::TempDir, Session) {
     let folder = tempfile::tempdir().unwrap();
     let session = Session::create(&folder.path().join("session"), "test").unwrap();
     (folder, session)
 }
 
 /// Imports the birdbath, object and floor, true to size.
-pub fn import_birdbath(session: &Session, cameras: &str) -> scene::SceneFile {
+pub(crate) fn import_birdbath(session: &Session, cameras: &str) -> scene::SceneFile {
     let meshes = ["object", "floor"].map(|m| shared(&format!("scenes/birdbath/geometry/{m}.obj")));
     scene::import(
         session,

@@ -227,17 +227,16 @@ fn exported_geometry_reads_back_as_the_cameras_and_the_surface_that_were_rendere
 
     // The true texture on the exported object, seen by the exported cameras, is the exported truth: meshes, texture
     // coordinates, poses and pictures fit each other.
-    let session = bare_session();
+    let (_home, session) = bare_session();
     let geometry = folder.path().join("geometry");
     let meshes = [geometry.join("object.obj"), geometry.join("floor.obj")];
     let silent = Progress::silent();
-    scene::import(session.path(), &geometry.join("cameras.xml"), &meshes, Lengths::default(), &silent)
-        .unwrap();
+    scene::import(&session, &geometry.join("cameras.xml"), &meshes, Lengths::default(), &silent).unwrap();
     let texture = tiff16::read_rgb(&folder.path().join("truth/texture.tif")).unwrap();
-    let model = session.path().join("model");
+    let model = session.model_dir();
     std::fs::create_dir_all(&model).unwrap();
     exr_image::write_rgb(&model.join("reflectance.exr"), &texture, &Meta::default()).unwrap();
-    let score = evaluate(session.path(), &folder.path().join("truth"), &silent).unwrap().texture.unwrap();
+    let score = evaluate(&session, &folder.path().join("truth"), &silent).unwrap().texture.unwrap();
     println!("{:?}", score.full);
     assert!(score.missing.is_empty() && score.by_view.len() == exported.views);
     assert!(score.full.mean.abs() < 1e-3, "{:?}", score.full);

@@ -1,0 +1,121 @@
+//! The main job from files alone, by the program itself, on a scene that another renderer made.
+
+use crate::scene_import::shared;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use unlit::codec::exr_image;
+
+const DISTANCES: [(&str, &str); 5] =
+    [("0.5", "d0500"), ("0.8", "d0800"), ("1.0", "d1000"), ("1.3", "d1300"), ("1.7", "d1700")];
+
+fn file(path: &str) -> String {
+    shared(&format!("scenes/birdbath/{path}")).display().to_string()
+}
+
+/// Runs the program; gives what it printed.
+fn unlit(arguments: &[&str]) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let complained = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "unlit {arguments:?} ended with {}: {said}{complained}", output.status);
+    said
+}
+
+/// A session from raws, cameras and meshes up to its calibration.
+fn prepared(folder: &Path, name: &str, cameras: &str) -> PathBuf {
+    let path = folder.join(name);
+    let session = path.to_str().unwrap();
+    unlit(&["new", session]);
+    let imported =
+        unlit(&["import", "pairs", session, "--off", &file("photos/off"), "--on", &file("photos/on")]);
+    assert!(imported.contains("24 pairs stored") && imported.contains(" 0 rejected"), "{imported}");
+    let (object, floor) = (file("geometry/object.obj"), file("geometry/floor.obj"));
+    unlit(&["import", "scene", session, "--cameras", &file(cameras), "--mesh", &object, "--mesh", &floor]);
+    let shots: Vec<String> = DISTANCES
+        .iter()
+        .flat_map(|(metres, stem)| {
+            (0..3).map(move |i| format!("{metres}={}", file(&format!("calibration/white/{stem}_{i}.dng"))))
+        })
+        .collect();
+    let mut calibrate = vec!["calibrate", "flash", session, "--target-reflectance", "0.94"];
+    calibrate.extend(["--ring-radii", "0.035,0.085", "--shots"]);
+    calibrate.extend(shots.iter().map(String::as_str));
+    unlit(&calibrate);
+    path
+}
+
+fn texture(session: &Path) -> Vec<[f32; 3]> {
+    let image = exr_image::read(&session.join("model/reflectance.exr")).unwrap();
+    image.rgb().unwrap().pixels().to_vec()
+}
+
+#[test]
+fn raws_become_a_texture_that_the_cameras_see_within_the_tolerances() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = prepared(folder.path(), "xml", "geometry/cameras.xml");
+    let name = session.to_str().unwrap();
+    let first = unlit(&["process", name]);
+    assert!(!first.contains("nothing had changed"), "{first}");
+
+    let evaluated: Value =
+        serde_json::from_str(&unlit(&["evaluate", name, "--truth", &file("truth"), "--json"])).unwrap();
+    println!("{evaluated:#}");
+    let figure = |estimate: &str, scale: &str, what: &str| {
+        evaluated[estimate][scale][what].as_f64().unwrap_or_else(|| panic!("no {estimate} {scale} {what}"))
+    };
+    assert!(figure("texture", "full", "mean").abs() <= 0.010);
+    assert!(figure("texture", "full", "standard_deviation") <= 0.06);
+    assert!(figure("texture", "blocks", "standard_deviation") <= 0.03);
+    assert!(figure("views", "full", "mean").abs() <= 0.010);
+    assert!(figure("views", "blocks", "standard_deviation") <= 0.03);
+
+    for (image, channels) in [("known", 3), ("irradiance", 3), ("reflectance", 4)] {
+        let file = session.join(format!("derived/views/007/{image}.exr"));
+        assert_eq!(exr_image::read(&file).unwrap().channels.len(), channels, "{image}");
+    }
+    let before = texture(&session);
+    let second = unlit(&["process", name, "--views"]);
+    assert!(second.contains("nothing had changed"), "{second}");
+
+    // The same cameras by way of COLMAP's text files.
+    let colmap = prepared(folder.path(), "colmap", "geometry/colmap");
+    unlit(&["process", colmap.to_str().unwrap()]);
+    let other = texture(&colmap);
+    assert_eq!(before.len(), other.len());
+    let apart = before.iter().flatten().zip(other.iter().flatten()).map(|(a, b)| f64::from((a - b).abs()));
+    let mean = apart.sum::<f64>() / (3 * before.len()) as f64;
+    println!("XML and COLMAP text differ by {mean} on average");
+    assert!(mean < 0.001);
+}
+
+#[test]
+fn a_pair_that_is_rejected_or_without_a_camera_is_left_out_with_the_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let (off, on) = (folder.path().join("off"), folder.path().join("on"));
+    for (side, to) in [("off", &off), ("on", &on)] {
+        std::fs::create_dir(to).unwrap();
+        for stem in ["000", "009", "014"] {
+            let from = if (side, stem) == ("on", "014") {
+                "photos/off/014.dng".to_owned()
+            } else {
+                format!("photos/{side}/{stem}.dng")
+            };
+            std::fs::copy(file(&from), to.join(format!("{stem}.dng"))).unwrap();
+        }
+        std::fs::copy(file(&format!("photos/{side}/003.dng")), to.join("stranger.dng")).unwrap();
+    }
+    let session = prepared(folder.path(), "some", "geometry/cameras.xml");
+    std::fs::remove_dir_all(session.join("pairs")).unwrap();
+    std::fs::create_dir(session.join("pairs")).unwrap();
+    let name = session.to_str().unwrap();
+    let import = Command::new(env!("CARGO_BIN_EXE_unlit"))
+        .args(["import", "pairs", name, "--off", off.to_str().unwrap(), "--on", on.to_str().unwrap()])
+        .output()
+        .unwrap();
+    assert_eq!(import.status.code(), Some(3), "{}", String::from_utf8_lossy(&import.stdout));
+    let said = unlit(&["process", name, "--texture-size", "64"]);
+    assert!(said.contains("left out 014: rejected"), "{said}");
+    assert!(said.contains("left out stranger: the scene has no camera"), "{said}");
+    assert!(said.contains("2 views"), "{said}");
+}

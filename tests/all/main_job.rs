@@ -1,0 +1,140 @@
+//! The main job over HTTP: the real daemon, libgphoto2, serial driver, firmware core and path-traced studio.
+
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+use unlit::pipeline::evaluate::evaluate;
+use unlit::progress::Progress;
+use unlit::session::Session;
+
+const PATIENCE: Duration = Duration::from_secs(300);
+const PAIRS: usize = 6;
+
+/// The daemon in its own process; killed when dropped.
+struct Daemon {
+    process: Child,
+    url: String,
+}
+
+impl Daemon {
+    fn start(folder: &Path) -> Self {
+        let mut process = Command::new(env!("CARGO_BIN_EXE_unlit"))
+            .args(["serve", "--studio", "--listen", "127.0.0.1:0", "--sessions"])
+            .arg(folder.join("sessions"))
+            .env("HOME", folder)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let at = line.find("http://").unwrap_or_else(|| panic!("no address in {line:?}"));
+        let url = line[at..].split_whitespace().next().unwrap().trim_end_matches('/').to_owned();
+        Self { process, url }
+    }
+
+    fn path(&self, path: &str) -> String {
+        format!("{}/api/v1{path}", self.url)
+    }
+
+    fn get(&self, path: &str) -> Value {
+        ureq::get(self.path(path)).call().unwrap().body_mut().read_json().unwrap()
+    }
+
+    fn post(&self, path: &str, body: Value) -> Value {
+        ureq::post(self.path(path)).send_json(body).unwrap().body_mut().read_json().unwrap()
+    }
+
+    fn stage(&self, order: Value) {
+        ureq::put(self.path("/studio/stage")).send_json(order).unwrap();
+    }
+
+    /// Waits for a job and gives its result.
+    fn finished(&self, mut job: Value) -> Value {
+        let path = job["url"].as_str().unwrap().trim_start_matches("/api/v1").to_owned();
+        let deadline = Instant::now() + PATIENCE;
+        while ["queued", "running"].contains(&job["state"].as_str().unwrap()) {
+            assert!(Instant::now() < deadline, "{job}");
+            std::thread::sleep(Duration::from_millis(50));
+            job = self.get(&path);
+        }
+        assert_eq!(job["state"], "done", "{job}");
+        job["result"].clone()
+    }
+
+    fn upload_scene(&self, geometry: &Path) -> Value {
+        let form = ureq::unversioned::multipart::Form::new()
+            .file("cameras", geometry.join("cameras.xml"))
+            .unwrap()
+            .file("mesh", geometry.join("object.obj"))
+            .unwrap()
+            .file("mesh", geometry.join("floor.obj"))
+            .unwrap()
+            .text("unit", "m");
+        ureq::post(self.path("/sessions/job/scene")).send(form).unwrap().body_mut().read_json().unwrap()
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        self.process.kill().ok();
+        self.process.wait().ok();
+    }
+}
+
+#[test]
+fn pairs_posted_to_the_api_become_a_model_unaided() {
+    let folder = tempfile::tempdir().unwrap();
+    let studio = folder.path().join("studio");
+    unlit::studio::truth::export(&studio, &Progress::silent()).unwrap();
+    let daemon = Daemon::start(folder.path());
+    daemon.post("/sessions", json!({ "name": "job" }));
+    daemon.finished(daemon.upload_scene(&studio.join("geometry")));
+    for distance in [0.7, 1.0, 1.4] {
+        daemon.stage(json!({ "card_distance_m": distance }));
+        let shot = daemon.post("/sessions/job/calibration/flash/shots", json!({ "distance_m": distance }));
+        assert_eq!(daemon.finished(shot)["reasons"], json!([]));
+    }
+    let fit = json!({ "target_reflectance": 0.94, "ring_radii": [0.035, 0.085] });
+    daemon.finished(daemon.post("/sessions/job/calibration/flash", fit));
+    daemon.stage(json!({ "stop": 1 }));
+
+    for number in 1..=PAIRS {
+        let pair = daemon.finished(daemon.post("/pairs", json!({})));
+        assert_eq!((&pair["verdict"], &pair["number"]), (&json!("accepted"), &json!(number)), "{pair}");
+    }
+    let deadline = Instant::now() + PATIENCE;
+    let last = loop {
+        let jobs = daemon.get("/jobs");
+        let jobs = jobs.as_array().unwrap();
+        let busy = |job: &Value| ["queued", "running"].contains(&job["state"].as_str().unwrap());
+        if !jobs.iter().any(busy) {
+            break jobs
+                .iter()
+                .find(|j| j["kind"] == "process")
+                .cloned()
+                .expect("no pair started its processing");
+        }
+        assert!(Instant::now() < deadline, "{jobs:?}");
+        std::thread::sleep(Duration::from_millis(100));
+    };
+    assert_eq!(last["state"], "done", "{last}");
+    assert_eq!(last["result"]["used"].as_array().unwrap().len(), PAIRS, "{last}");
+
+    let glb = ureq::get(daemon.path("/sessions/job/files/model/model.glb")).call().unwrap();
+    let glb = glb.into_body().with_config().limit(1 << 28).read_to_vec().unwrap();
+    let (document, _, images) = gltf::import_slice(&glb).unwrap();
+    assert_eq!((document.meshes().count(), images.len()), (1, 1));
+
+    // What came out is the truth that the studio was made from.
+    drop(daemon);
+    let session = Session::open(&folder.path().join("sessions/job")).unwrap();
+    let score = evaluate(&session, &studio.join("truth"), &Progress::silent()).unwrap().texture.unwrap();
+    println!("{:?}", score.full);
+    println!("{:?}", score.blocks);
+    let seen_by_the_cameras = score.by_view.iter().take(PAIRS);
+    for view in seen_by_the_cameras {
+        assert!(view.full.mean.abs() < 0.02 && view.full.standard_deviation < 0.08, "{view:?}");
+    }
+}
