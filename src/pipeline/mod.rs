@@ -6,5 +6,6 @@ pub mod flash;
 mod manifest;
 pub mod pairs;
 pub mod process;
+mod report;
 pub mod scene;
 pub mod views;

@@ -3,10 +3,12 @@
 use super::develop::{DevelopError, known_light, lamp};
 use super::flash::{self, FlashError};
 use super::manifest::{StageManifest, digest};
+use super::report::{self, Told};
 use super::scene::{self, SceneError};
 use crate::calibration::FlashCalibration;
 use crate::codec::asset::AssetError;
 use crate::codec::exr_image::{self, Meta};
+use crate::codec::png::PngError;
 use crate::export::glb::{self, Colour, GlbError, Model};
 use crate::pair::{PairRecord, Verdict};
 use crate::progress::{Cancelled, Progress};
@@ -20,6 +22,7 @@ use crate::session::{Session, SessionError, store};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 /// Largest texture side that is made.
@@ -100,6 +103,9 @@ pub enum ProcessError {
     /// Writing the model.
     #[error(transparent)]
     Glb(#[from] GlbError),
+    /// A preview in the report.
+    #[error(transparent)]
+    Preview(#[from] PngError),
     /// The file system refused.
     #[error("cannot write {}: {source}", path.display())]
     Io {
@@ -164,7 +170,7 @@ pub fn stored(session: &Session) -> Option<ProcessSummary> {
 }
 
 fn outputs() -> Vec<String> {
-    ["reflectance.exr", "stddev.exr", "views.exr", "model.glb", "summary.json"]
+    ["reflectance.exr", "stddev.exr", "views.exr", "model.glb", "summary.json", "report.html"]
         .map(|name| format!("model/{name}"))
         .into_iter()
         .chain([super::views::ELEMENTS.to_owned()])
@@ -271,7 +277,7 @@ fn solve_and_write(
     let mut summary = summarise(inputs, &texture, size);
     summary.turned = turned;
     progress.report("writing the model", 0, 1);
-    write(session, &scene, &texture, &summary)?;
+    write(session, &scene, inputs, &texture, &summary)?;
     super::views::keep_elements(session, &texture.bounces.rho)?;
     Ok(summary)
 }
@@ -303,6 +309,7 @@ fn summarise(inputs: &Inputs, texture: &Texture, size: usize) -> ProcessSummary 
 fn write(
     session: &Session,
     scene: &Scene,
+    inputs: &Inputs,
     texture: &Texture,
     summary: &ProcessSummary,
 ) -> Result<(), ProcessError> {
@@ -342,7 +349,16 @@ fn write(
     store::write_atomic(&path, &glb).map_err(io(&path))?;
     let path = model.join("summary.json");
     let bytes = serde_json::to_vec_pretty(summary).map_err(std::io::Error::other).map_err(io(&path))?;
-    store::write_atomic(&path, &bytes).map_err(io(&path))
+    store::write_atomic(&path, &bytes).map_err(io(&path))?;
+    let report = report::html(&Told {
+        manifest: session.manifest(),
+        calibration: &inputs.calibration,
+        pairs: inputs.matched.iter().map(|(pair, _)| pair).collect(),
+        summary,
+        estimates: &texture.estimates,
+    })?;
+    let path = model.join("report.html");
+    store::write_atomic(&path, report.as_bytes()).map_err(io(&path))
 }
 
 /// Writes a file under a temporary name and gives it its own when it is whole.
@@ -355,6 +371,8 @@ where
     let beside = tempfile::Builder::new()
         .prefix(store::TEMPORARY_PREFIX)
         .suffix(".exr")
+        // As every other file: readable by whom the process's mask lets read it.
+        .permissions(std::fs::Permissions::from_mode(0o666))
         .tempfile_in(folder)
         .map_err(io(folder))?;
     write(beside.path())?;

@@ -1,0 +1,373 @@
+//! `model/report.html`: what a run made, from what, and how far to trust it.
+
+use super::process::ProcessSummary;
+use crate::calibration::FlashCalibration;
+use crate::codec::png::{self, PngError};
+use crate::export::report::{self, Block, Picture, Report, Scale, Section};
+use crate::pair::PairRecord;
+use crate::raster::{Image, srgb};
+use crate::reflectance::solve::Estimate;
+use crate::session::Manifest;
+
+/// Longest edge of a preview in pixels.
+const EDGE: usize = 512;
+
+/// What shows where a preview has no surface or no view, sRGB.
+const NOTHING: [u8; 3] = [72, 72, 72];
+
+/// Colours for numbers, low to high, ever brighter, so that they can be told apart without seeing colour.
+const SCALE: [[u8; 3]; 5] = [[32, 26, 66], [92, 44, 110], [176, 68, 96], [230, 130, 70], [250, 222, 150]];
+
+/// Range of diffuse base colours that rendering programs expect of materials. Nothing is clamped to it.
+const USUAL: std::ops::RangeInclusive<f32> = 0.03..=0.9;
+
+/// What the report tells of.
+pub(super) struct Told<'a> {
+    pub(super) manifest: &'a Manifest,
+    pub(super) calibration: &'a FlashCalibration,
+    /// Pairs that went in.
+    pub(super) pairs: Vec<&'a PairRecord>,
+    pub(super) summary: &'a ProcessSummary,
+    pub(super) estimates: &'a Image<Option<Estimate>>,
+}
+
+/// The report as HTML.
+pub(super) fn html(told: &Told<'_>) -> Result<String, PngError> {
+    let title = format!("Reflectance of {}", told.manifest.name);
+    let n = told.summary.used.len();
+    let subtitle = format!(
+        "{n} {}, session made {} UTC, {}",
+        if n == 1 { "pair" } else { "pairs" },
+        moment(&told.manifest.created),
+        told.manifest.software
+    );
+    let sections = vec![
+        Section { heading: "The texture", blocks: vec![Block::Pictures(previews(told.estimates)?)] },
+        Section { heading: "Figures", blocks: figures(told) },
+        Section { heading: "Camera and flash", blocks: rig(told) },
+        Section { heading: "Pairs", blocks: pairs(told.summary) },
+        Section { heading: "How to read the files", blocks: files() },
+    ];
+    Ok(report::html(&Report { title: &title, subtitle: &subtitle, sections }))
+}
+
+fn previews(estimates: &Image<Option<Estimate>>) -> Result<Vec<Picture>, PngError> {
+    let picture = |colour: &dyn Fn(&Estimate) -> [f32; 3], caption: &str, scale| {
+        let png = png::encode_rgb8(&shrunk(estimates, colour))?;
+        Ok(Picture { png, caption: caption.to_owned(), scale })
+    };
+    let most = estimates.pixels().iter().flatten().map(|e| e.views).max().unwrap_or(1).max(1);
+    let mut deviations: Vec<f32> = estimates.pixels().iter().flatten().map(deviation).collect();
+    deviations.sort_by(f32::total_cmp);
+    // The worst hundredth would take the contrast from all others.
+    let worst = deviations.get(deviations.len() * 99 / 100).copied().unwrap_or(1.0).max(1e-6);
+    let scale = |low: &str, high: String| Some(Scale { colours: SCALE.into(), low: low.into(), high });
+    Ok(vec![
+        picture(
+            &|e| e.rho,
+            "Diffuse reflectance, camera RGB shown as if it were sRGB. Grey: not seen.",
+            None,
+        )?,
+        picture(
+            &|e| on_scale(f32::from(e.views) / f32::from(most)),
+            "Views that made up each texel.",
+            scale("0", most.to_string()),
+        )?,
+        picture(
+            &|e| on_scale(deviation(e) / worst),
+            "Standard deviation of the reflectance, mean of the channels.",
+            scale("0", format!("{worst:.3} and more")),
+        )?,
+    ])
+}
+
+/// Mean over the channels.
+fn deviation(estimate: &Estimate) -> f32 {
+    estimate.sd.iter().sum::<f32>() / 3.0
+}
+
+/// The scale's colour at 0..1, in linear light.
+fn on_scale(value: f32) -> [f32; 3] {
+    let place = value.clamp(0.0, 1.0) * (SCALE.len() - 1) as f32;
+    let low = (place as usize).min(SCALE.len() - 2);
+    let between = place - low as f32;
+    let (a, b) = (SCALE[low], SCALE[low + 1]);
+    std::array::from_fn(|c| {
+        srgb::decode((f32::from(a[c]) * (1.0 - between) + f32::from(b[c]) * between) / 255.0)
+    })
+}
+
+/// Averages the estimates' colours (linear) over square blocks, so that no edge is longer than [`EDGE`].
+fn shrunk(estimates: &Image<Option<Estimate>>, colour: &dyn Fn(&Estimate) -> [f32; 3]) -> Image<[u8; 3]> {
+    let (width, height) = (estimates.width(), estimates.height());
+    let block = width.max(height).div_ceil(EDGE).max(1);
+    Image::from_fn(width.div_ceil(block), height.div_ceil(block), |left, top| {
+        let (mut sum, mut count) = ([0.0_f32; 3], 0.0_f32);
+        for y in top * block..((top + 1) * block).min(height) {
+            for x in left * block..((left + 1) * block).min(width) {
+                if let Some(estimate) = estimates.at(x, y) {
+                    let value = colour(estimate);
+                    (0..3).for_each(|c| sum[c] += value[c]);
+                    count += 1.0;
+                }
+            }
+        }
+        if count > 0.0 { sum.map(|s| srgb::encode_u8(s / count)) } else { NOTHING }
+    })
+}
+
+fn figures(told: &Told<'_>) -> Vec<Block> {
+    let summary = told.summary;
+    let seen = told.estimates.pixels().iter().flatten();
+    let outside = seen.clone().filter(|e| e.rho.iter().any(|v| !USUAL.contains(v))).count();
+    let share = percent(outside as f64 / seen.count().max(1) as f64);
+    let moved: Vec<String> = summary.rounds.iter().map(|r| format!("{:.5}", r.mean_change)).collect();
+    let mut facts = vec![
+        fact("Texture", format!("{n} x {n} texels", n = summary.texture_size)),
+        fact("Surface seen", percent(summary.seen)),
+        fact("Mean reflectance", three(summary.mean_reflectance, 4)),
+        fact("Median standard deviation", format!("{:.4}", summary.median_deviation)),
+        fact("Rounds of bounces", format!("{}; reflectance moved by {}", moved.len(), moved.join(", "))),
+        fact("Outside 0.03 to 0.9", format!("{share} of the seen texels, in one channel at least")),
+    ];
+    if !summary.turned.is_empty() {
+        facts.push(fact("Turned to face the cameras", summary.turned.join(", ")));
+    }
+    vec![
+        Block::Facts(facts),
+        Block::Text(
+            "Reflectance runs from 0 to 1 and is linear. Colour space: camera RGB, uncalibrated. The channels are \
+             the camera's own, so colours are right only in relation to each other; no colour chart went into \
+             this."
+                .into(),
+        ),
+        Block::Text(
+            "Rendering programs expect diffuse colours between about 0.03 (charcoal) and 0.9 (fresh snow). Values \
+             outside are kept as they were measured. Many of them hint at gloss or metal, which this model does \
+             not describe, or at a calibration card of another reflectance than stated."
+                .into(),
+        ),
+    ]
+}
+
+fn rig(told: &Told<'_>) -> Vec<Block> {
+    let fit = told.calibration;
+    let mut facts = vec![];
+    if let Some(settings) = told.pairs.first().map(|p| &p.on.settings) {
+        // Most models name their maker.
+        let named = |make: &&String| settings.model.as_ref().is_none_or(|m| !m.starts_with(make.as_str()));
+        let names = [settings.make.as_ref().filter(named), settings.model.as_ref(), settings.lens.as_ref()];
+        let camera: Vec<&str> = names.into_iter().flatten().map(String::as_str).collect();
+        let exposure = [
+            settings.shutter.map(|s| s.to_string()),
+            settings.aperture.map(|n| n.to_string()),
+            settings.iso.map(|i| i.to_string()),
+        ];
+        let exposure: Vec<String> = exposure.into_iter().flatten().collect();
+        facts.extend([
+            fact("Camera", or_untold(camera.join(", "))),
+            fact("Exposure", or_untold(exposure.join(", "))),
+        ]);
+    }
+    let times = || told.pairs.iter().filter_map(|p| p.off.settings.taken_at.as_deref());
+    if let (Some(first), Some(last)) = (times().min(), times().max()) {
+        let span = format!("{} to {}, the camera's clock", moment(first), moment(last));
+        facts.push(fact("Photographed", span));
+    }
+    let [a1, a2, a3] = fit.field.coefficients;
+    let radiance = match fit.radiance_error {
+        Some(error) => format!("{} DN, standard error {} DN", three(fit.radiance, 0), three(error, 0)),
+        None => format!("{} DN, from a single shot", three(fit.radiance, 0)),
+    };
+    facts.extend([
+        fact("Ring, radii", format!("{} to {} m", fit.ring.inner, fit.ring.outer)),
+        fact("Ring, radiance (R G B)", radiance),
+        fact(
+            "Vignetting times lobe",
+            format!("1 {a1:+.4} q {a2:+.4} q\u{b2} {a3:+.4} q\u{b3}, q = (r / half diagonal)\u{b2}"),
+        ),
+        fact(
+            "Noise",
+            format!("variance = {:.4} DN \u{d7} signal + {:.2} DN\u{b2}", fit.noise.gain, fit.noise.floor),
+        ),
+        fact("Card", format!("reflectance taken to be {}", fit.target_reflectance)),
+        fact("Residual of the fit", percent(fit.rms)),
+    ]);
+    let rows = fit.shots.iter().map(|shot| {
+        let used = |text: String| if shot.used { text } else { "left out".into() };
+        vec![
+            shot.label.clone(),
+            format!("{} m", shot.distance),
+            used(format!("{:.4}", shot.gain)),
+            used(percent(shot.rms)),
+            percent(shot.clipped),
+        ]
+    });
+    let head = vec!["Card shot", "Distance", "Flash, relative", "Residual", "Clipped"];
+    vec![Block::Facts(facts), Block::Table { head, rows: rows.collect() }]
+}
+
+fn pairs(summary: &ProcessSummary) -> Vec<Block> {
+    let mut blocks = vec![Block::Text(format!("In the model: {}.", summary.used.join(", ")))];
+    if summary.left_out.is_empty() {
+        blocks.push(Block::Text("None was left out.".into()));
+    } else {
+        let rows = summary.left_out.iter().map(|l| vec![l.name.clone(), l.why.clone()]).collect();
+        blocks.push(Block::Table { head: vec!["Left out", "Why"], rows });
+    }
+    blocks
+}
+
+fn files() -> Vec<Block> {
+    let rows = [
+        ["model.glb", "The object with its reflectance as base colour, for any viewer; 8 bits, metres."],
+        [
+            "reflectance.exr",
+            "The texture to work with: 32-bit float, linear, row 0 at v = 1. Unseen parts are filled.",
+        ],
+        ["stddev.exr", "Its standard deviation, a channel each; 0 where views.exr is 0."],
+        ["views.exr", "Views that made up each texel; 0: not seen."],
+        ["summary.json", "The figures above, for programs."],
+    ];
+    let rows = rows.into_iter().map(|row| row.map(str::to_owned).to_vec()).collect();
+    vec![
+        Block::Table { head: vec!["File", "What it holds"], rows },
+        Block::Text(
+            "To light the object anew, use the reflectance as the colour of a matt surface and nothing else: it \
+             holds neither light nor shadow of the room."
+                .into(),
+        ),
+    ]
+}
+
+fn fact(name: &str, value: String) -> (String, String) {
+    (name.to_owned(), value)
+}
+
+/// Date and minute of an ISO 8601 moment.
+fn moment(iso: &str) -> String {
+    iso.get(..16).unwrap_or(iso).replace('T', " ")
+}
+
+fn or_untold(text: String) -> String {
+    if text.is_empty() { "the files do not tell".into() } else { text }
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.2} %", 100.0 * share)
+}
+
+fn three(values: [f64; 3], digits: usize) -> String {
+    values.map(|v| format!("{v:.digits$}")).join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::{CardResidual, FieldFactor};
+    use crate::light::Ring;
+    use crate::photometry::NoiseModel;
+    use crate::pipeline::process::LeftOut;
+    use crate::reflectance::bounce::Round;
+
+    fn of(name: &str, rho: [f32; 3]) -> String {
+        let manifest = Manifest {
+            schema: 1,
+            name: name.into(),
+            created: "2026-01-02T03:04:05Z".into(),
+            software: "unlit 0".into(),
+        };
+        let calibration = FlashCalibration {
+            ring: Ring::new(0.035, 0.085).unwrap(),
+            radiance: [51_234.0, 52_345.0, 43_456.0],
+            radiance_error: None,
+            field: FieldFactor { coefficients: [-0.1234, 0.0, 0.0] },
+            noise: NoiseModel { gain: 0.3125, floor: 4.5 },
+            target_reflectance: 0.94,
+            iso: None,
+            aperture: None,
+            shots: vec![CardResidual {
+                label: "card-far.dng".into(),
+                distance: 1.4,
+                gain: 1.0,
+                rms: 0.0021,
+                clipped: 0.0,
+                used: true,
+            }],
+            rms: 0.0037,
+        };
+        let summary = ProcessSummary {
+            used: vec!["0001".into()],
+            left_out: vec![LeftOut { name: "0002".into(), why: "rejected: <the vase moved>".into() }],
+            texture_size: 640,
+            seen: 0.875,
+            median_deviation: 0.0123,
+            mean_reflectance: [0.25, 0.5, 0.75],
+            rounds: vec![Round { mean_change: 0.002 }],
+            turned: vec![],
+            up_to_date: false,
+            views: (0, 0),
+        };
+        // A quarter of the seen texels has the reflectance asked for, the rest 0.5.
+        let estimates = Image::from_fn(640, 4, |x, y| {
+            let rho = if x < 80 { rho } else { [0.5; 3] };
+            (x < 320).then_some(Estimate { rho, sd: [0.01; 3], views: 1 + y as u16 })
+        });
+        html(&Told {
+            manifest: &manifest,
+            calibration: &calibration,
+            pairs: vec![],
+            summary: &summary,
+            estimates: &estimates,
+        })
+        .unwrap()
+    }
+
+    #[test]
+    fn a_report_names_session_figures_calibration_and_what_was_left_out() {
+        let html = of("vase <script>", [0.5; 3]);
+        for words in [
+            "Reflectance of vase &lt;script&gt;",
+            "2026-01-02 03:04 UTC",
+            "640 x 640 texels",
+            "87.50 %",
+            "0.2500 0.5000 0.7500",
+            "0.0123",
+            "51234 52345 43456 DN",
+            "-0.1234 q",
+            "0.3125 DN",
+            "0.37 %",
+            "card-far.dng",
+            "rejected: &lt;the vase moved&gt;",
+            "camera RGB, uncalibrated",
+            "reflectance.exr",
+        ] {
+            assert!(html.contains(words), "no {words:?}");
+        }
+        assert!(!html.contains("<script"));
+        assert_eq!(html.matches("<img").count(), 3);
+    }
+
+    #[test]
+    fn unusual_reflectance_is_counted_not_clamped() {
+        assert!(of("a", [0.5; 3]).contains("0.00 % of the seen texels"));
+        assert!(of("a", [0.5, 0.5, 0.95]).contains("25.00 % of the seen texels"));
+        assert!(of("a", [0.01, 0.5, 0.5]).contains("25.00 % of the seen texels"));
+    }
+
+    #[test]
+    fn previews_are_small_and_average_only_what_is_seen() {
+        let estimate = Estimate { rho: [0.25; 3], sd: [0.0; 3], views: 1 };
+        let estimates = Image::from_fn(1500, 300, |x, _| (x < 1).then_some(estimate));
+        let small = shrunk(&estimates, &|e| e.rho);
+        assert_eq!((small.width(), small.height()), (500, 100));
+        assert_eq!(*small.at(0, 0), [srgb::encode_u8(0.25); 3]);
+        assert_eq!(*small.at(1, 0), NOTHING);
+    }
+
+    #[test]
+    fn the_scale_runs_from_its_first_colour_to_its_last() {
+        let shown = |v| on_scale(v).map(srgb::encode_u8);
+        assert_eq!([shown(-1.0), shown(0.25), shown(2.0)], [SCALE[0], SCALE[1], SCALE[4]]);
+    }
+}
