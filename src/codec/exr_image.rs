@@ -259,36 +259,4 @@ mod tests {
         let empty = Exr { width: 0, height: 0, channels: vec![], meta: Meta::default() };
         assert!(matches!(write(&path, &empty), Err(AssetError::Unwritable { .. })));
     }
-
-    #[test]
-    #[ignore = "a measurement: cargo test --lib compression_bargain -- --ignored --nocapture"]
-    fn compression_bargain() {
-        let shared = std::env::var("UNLIT_SHARED").unwrap_or_else(|_| "../shared".into());
-        let texture =
-            super::super::tiff16::read_rgb(&Path::new(&shared).join("scenes/birdbath/truth/texture.tif"))
-                .unwrap();
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("t.exr");
-        let channels =
-            (0..3).map(|c| (["R", "G", "B"][c].into(), texture.pixels().iter().map(|p| p[c]).collect()));
-        let image = Exr {
-            width: texture.width(),
-            height: texture.height(),
-            channels: channels.collect(),
-            meta: Meta::default(),
-        };
-        use ::exr::prelude::Compression::{PIZ, RLE, Uncompressed, ZIP1, ZIP16};
-        for compression in [Uncompressed, RLE, ZIP1, ZIP16, PIZ] {
-            let start = std::time::Instant::now();
-            write_with(&path, &image, compression).unwrap();
-            let wrote = start.elapsed();
-            let back = read(&path).unwrap();
-            assert_eq!(back.rgb().unwrap(), texture);
-            println!(
-                "{compression}: write {wrote:?}, write+read {:?}, {} kB",
-                start.elapsed(),
-                std::fs::metadata(&path).unwrap().len() / 1024
-            );
-        }
-    }
 }

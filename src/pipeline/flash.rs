@@ -171,8 +171,14 @@ fn io(path: &Path) -> impl FnOnce(std::io::Error) -> FlashError + '_ {
     move |source| FlashError::Io { path: path.to_owned(), source }
 }
 
+/// File name, with its folder's where that alone would not tell shots apart (`d00700_1/on.cr2`).
 fn label(path: &Path) -> String {
-    path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned())
+    let name = |p: &Path| p.file_name().map(|n| n.to_string_lossy().into_owned());
+    let own = name(path).unwrap_or_else(|| path.display().to_string());
+    match path.parent().and_then(name) {
+        Some(folder) if path.file_stem().is_some_and(|stem| stem == "on") => format!("{folder}/{own}"),
+        _ => own,
+    }
 }
 
 /// The flash's light goes with ISO and aperture, not with the shutter.
@@ -213,7 +219,8 @@ fn keep(session: &Session, shots: &[CardFiles]) -> Result<(), FlashError> {
     for path in shots.iter().flat_map(|s| std::iter::once(&s.on).chain(&s.off)).filter(|p| !inside(p)) {
         std::fs::create_dir_all(&folder).map_err(io(&folder))?;
         let bytes = std::fs::read(path).map_err(io(path))?;
-        let copy = folder.join(format!("{}_{}", &store::digest(&bytes)[..8], label(path)));
+        let name = path.file_name().map_or_else(Default::default, |n| n.to_string_lossy());
+        let copy = folder.join(format!("{}_{name}", &store::digest(&bytes)[..8]));
         store::write_atomic(&copy, &bytes).map_err(io(&copy))?;
     }
     Ok(())

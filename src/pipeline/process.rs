@@ -203,6 +203,10 @@ impl Inputs {
         for (pair, _) in &matched {
             parts.push(format!("{} {} {}", pair.name, pair.off.blake3, pair.on.blake3).into_bytes());
         }
+        // The report and the summary tell of these too.
+        for left in &left_out {
+            parts.push(format!("without {}: {}", left.name, left.why).into_bytes());
+        }
         let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
         Ok(Self { calibration, scene, matched, left_out, key })
     }

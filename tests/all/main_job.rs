@@ -138,3 +138,25 @@ fn pairs_posted_to_the_api_become_a_model_unaided() {
         assert!(view.full.mean.abs() < 0.02 && view.full.standard_deviation < 0.08, "{view:?}");
     }
 }
+
+#[test]
+fn pairs_shot_from_the_terminal_are_kept_with_what_the_flash_did() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("walk");
+    let output = Command::new(env!("CARGO_BIN_EXE_unlit"))
+        .args(["shoot", "--studio", "--pairs", "2"])
+        .arg(&path)
+        .env("HOME", folder.path())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let session = Session::open(&path).unwrap();
+    let pairs = session.pairs().unwrap();
+    assert_eq!(pairs.len(), 2);
+    for pair in pairs {
+        assert_eq!(pair.verdict, unlit::pair::Verdict::Accepted);
+        let flash = pair.flash.clone().unwrap();
+        assert_eq!((flash.pulses_off, flash.pulses_on), (0, 1));
+        assert!(session.originals_intact(&pair).unwrap());
+    }
+}
