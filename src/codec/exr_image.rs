@@ -100,10 +100,6 @@ fn write_planes<const N: usize>(
 /// Writes any set of channels. The file is complete when this returns, but is neither synced nor renamed
 /// into place: hand in a temporary path where that matters.
 pub fn write(path: &Path, image: &Exr) -> Result<(), AssetError> {
-    write_with(path, image, COMPRESSION)
-}
-
-fn write_with(path: &Path, image: &Exr, compression: exr::Compression) -> Result<(), AssetError> {
     let unwritable = |reason: String| AssetError::Unwritable { path: path.into(), reason };
     let size = image.width * image.height;
     if size == 0 || image.channels.is_empty() {
@@ -130,8 +126,11 @@ fn write_with(path: &Path, image: &Exr, compression: exr::Compression) -> Result
     if let (Some(key), Some(space)) = (exr::Text::new_or_none(COLOUR_SPACE), text(&image.meta.colour_space)) {
         attributes.other.insert(key, exr::AttributeValue::Text(space));
     }
-    let encoding =
-        exr::Encoding { compression, blocks: exr::Blocks::ScanLines, line_order: exr::LineOrder::Increasing };
+    let encoding = exr::Encoding {
+        compression: COMPRESSION,
+        blocks: exr::Blocks::ScanLines,
+        line_order: exr::LineOrder::Increasing,
+    };
     let layer = exr::Layer::new(
         exr::Vec2(image.width, image.height),
         attributes,

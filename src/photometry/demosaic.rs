@@ -59,15 +59,16 @@ pub fn demosaic(mosaic: &KnownMosaic, white: [f64; 3]) -> Known {
     let white = if white.iter().all(|w| w.is_finite() && *w > 0.0) { white } else { [1.0; 3] };
     let white = white.map(|w| w as f32);
     let (width, height) = (mosaic.value.width(), mosaic.value.height());
-    let rows: Vec<Vec<Pixel>> = (0..height)
-        .into_par_iter()
-        .map(|y| {
-            let pixel = |x| corrected(mosaic, &white, x, y).unwrap_or_else(|| bilinear(mosaic, x, y));
-            (0..width).map(pixel).collect()
-        })
-        .collect();
-    let all = Image::from_fn(width, height, |x, y| rows[y][x]);
-    Known { rgb: all.map(|p| p.0), variance: all.map(|p| p.1), valid: all.map(|p| p.2) }
+    let pixel = |i: usize| {
+        let (x, y) = (i % width, i / width);
+        corrected(mosaic, &white, x, y).unwrap_or_else(|| bilinear(mosaic, x, y))
+    };
+    let pixels: Vec<Pixel> = (0..width * height).into_par_iter().map(pixel).collect();
+    Known {
+        rgb: Image::from_fn(width, height, |x, y| pixels[y * width + x].0),
+        variance: Image::from_fn(width, height, |x, y| pixels[y * width + x].1),
+        valid: Image::from_fn(width, height, |x, y| pixels[y * width + x].2),
+    }
 }
 
 /// The gradient-corrected filters; `None` unless the whole 5x5 neighbourhood is there.

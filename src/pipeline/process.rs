@@ -28,6 +28,12 @@ use std::path::{Path, PathBuf};
 /// Largest texture side that is made.
 const LARGEST_TEXTURE: usize = 16384;
 
+/// Memory that the observations of a texture of the default size may take, bytes; about [`OBSERVED`] of its texels
+/// are seen by any one view, at [`OBSERVATION`] bytes each.
+const MEMORY: f64 = 6e9;
+const OBSERVED: f64 = 0.15;
+const OBSERVATION: f64 = 52.0;
+
 /// What is to be made.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ProcessOptions {
@@ -254,7 +260,12 @@ fn texture_size(options: &ProcessOptions, inputs: &Inputs) -> Result<usize, Proc
         .iter()
         .map(|(_, camera)| (camera.centre() - centre).length() / camera.intrinsics.focal.max_element())
         .fold(f64::INFINITY, f64::min);
-    Ok(atlas::fitting_size(object, finest))
+    let mut size = atlas::fitting_size(object, finest);
+    let needs = |size: usize| (size * size * inputs.matched.len()) as f64 * OBSERVED * OBSERVATION;
+    while size > 256 && needs(size) > MEMORY {
+        size /= 2;
+    }
+    Ok(size)
 }
 
 fn solve_and_write(
