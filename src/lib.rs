@@ -18,9 +18,8 @@
 //! | [`pipeline`] | files to results; every stage keyed by the digest of its inputs |
 //! | [`jobs`] | queue and life of long work |
 //! | [`session`] | the folder: layout, journal, atomic writes, checksums, lock |
-//! | [`export`] | GLB, EXR, TIFF, report |
+//! | [`export`] | GLB and report, from plain inputs |
 //! | [`reflectance`] | weighted least squares per surface point, iterated with the bounces |
-//! | [`alignment`] | pose refinement |
 //! | [`calibration`] | fits from calibration shots |
 //! | [`light`] | ray kernel, ring lamp, direct light, transport of bounces |
 //! | [`scene`] | meshes, cameras, importers |
@@ -30,7 +29,6 @@
 //! | [`raster`] | pure: images, filters, statistics |
 //! | [`progress`], [`units`] | progress and cancelling, physical quantities |
 
-pub mod alignment;
 pub mod calibration;
 pub mod capture;
 pub mod cli;

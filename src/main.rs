@@ -12,7 +12,7 @@ fn main() -> ExitCode {
     match unlit::cli::run(std::env::args_os()) {
         Ok(code) => code.into(),
         Err(error) => {
-            eprintln!("unlit: {:#}", anyhow::Error::from(error));
+            eprintln!("unlit: {error}");
             unlit::cli::Exit::Failure.into()
         }
     }

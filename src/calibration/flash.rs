@@ -1,8 +1,9 @@
 //! The flash, from shots of a flat card that faces the camera at known distances.
 //!
 //! Card shots tell, per colour channel, the lamp's radiance in sensor units, and over the field angle the
-//! product of lens vignetting and lamp lobe. They cannot tell the two factors apart, and nothing that is
-//! simulated needs them apart as long as lamp and lens share their axis. Model of a pixel on shot s:
+//! product of lens vignetting and lamp lobe. They cannot tell the two factors apart. Direct
+//! light needs only the product as long as lamp and lens share their axis; bounced light is simulated as if all of it
+//! were vignetting, which is exact for a lamp without lobe. Model of a pixel on shot s:
 //!
 //! ```text
 //! P_c(x) = k_s R_c g(q) E1(x) rho_t / pi,    g(q) = 1 + a1 q + a2 q^2 + a3 q^3,    mean of k_s = 1
@@ -28,6 +29,9 @@ const LEAST_USABLE: f64 = 0.05;
 
 /// Model error that is granted to every block beside noise, relative.
 const MODEL_ERROR: f64 = 0.002;
+
+/// Largest root mean square residual (relative) of a calibration that may be used.
+const MOST_RESIDUAL: f64 = 0.1;
 
 /// One shot of the card with the flash's light isolated.
 pub struct CardShot {
@@ -119,6 +123,11 @@ pub enum FlashFitError {
         /// Width and height of the camera model.
         expected: (usize, usize),
     },
+    /// The shots are not of a card at these distances.
+    #[error(
+        "the card shots are off the model by {0:.0} %: does the card fill the frame and face the camera, and are the distances and ring radii in metres?"
+    )]
+    Residual(f64),
     /// Nothing usable.
     #[error(
         "no card shot has light to measure: all are over-exposed or dark ({0}); shoot the card farther away, or check that the flash fired"
@@ -205,6 +214,15 @@ pub fn fit_flash(
             blocks.iter().filter(|b| wanted.is_none_or(|s| s == b.shot)).filter_map(relative).collect();
         (errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64).sqrt()
     };
+    if let Some(c) = (0..3).find(|&c| radiance[c].is_nan() || radiance[c] <= 0.0) {
+        return Err(FlashFitError::Nothing(format!(
+            "no light in the {} channel",
+            ["red", "green", "blue"][c]
+        )));
+    }
+    if rms(None) > MOST_RESIDUAL {
+        return Err(FlashFitError::Residual(100.0 * rms(None)));
+    }
     let residuals = shots
         .iter()
         .enumerate()

@@ -34,8 +34,8 @@ pub(super) struct FlashArgs {
 }
 
 fn radii(text: &str) -> Result<[f64; 2], String> {
-    let parts: Vec<f64> = text.split(',').filter_map(|p| p.trim().parse().ok()).collect();
-    <[f64; 2]>::try_from(parts)
+    let parts: Option<Vec<f64>> = text.split(',').map(|p| p.trim().parse().ok()).collect();
+    <[f64; 2]>::try_from(parts.unwrap_or_default())
         .map_err(|_| "give inner and outer radius in metres, for example 0.035,0.085".into())
 }
 

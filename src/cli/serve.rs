@@ -34,8 +34,8 @@ pub(super) fn run(args: Args) -> CliResult {
     let events = Events::default();
     let engine = Arc::new(Engine::new(source, Limits::default(), events.clone()));
     let after_pair = studio.as_ref().map(|studio| studio.operator(events.clone()));
-    let desk =
-        Desk::open(engine, events, &args.sessions, works::works(), after_pair).map_err(CliError::new)?;
+    let desk = Desk::open(engine, events, &args.sessions, works::works().map_err(CliError::new)?, after_pair)
+        .map_err(CliError::new)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(CliError::new)?;
     runtime.block_on(answer(address, desk.clone(), studio.map(|s| s as Arc<dyn StudioControl>)))?;
     if !desk.close(LAST_PATIENCE) {

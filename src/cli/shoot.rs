@@ -16,7 +16,7 @@ pub(super) struct Args {
     #[command(flatten)]
     devices: DeviceArgs,
     /// How many pairs to take.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pairs: u32,
 }
 

@@ -10,14 +10,31 @@ use crate::session::Session;
 use serde_json::{Value, json};
 use std::sync::Arc;
 
-pub(super) fn works() -> Works {
-    Works {
-        process: Arc::new(process),
-        calibrate_flash: Arc::new(calibrate_flash),
+/// The daemon's processing, on threads of its own, one fewer than cores but two at least, so that the checks of
+/// the pair being shot never wait behind a long computation.
+pub(super) fn works() -> Result<Works, rayon::ThreadPoolBuildError> {
+    let cores = std::thread::available_parallelism().map_or(2, |n| n.get());
+    let threads = (cores - 1).max(2);
+    let pool =
+        rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("processing {i}"));
+    let pool = Arc::new(pool.build()?);
+    Ok(Works {
+        process: on_pool(&pool, process),
+        calibrate_flash: on_pool(&pool, calibrate_flash),
         import_scene: Arc::new(import_scene),
         has_scene: Arc::new(|session| session.scene_dir().join("scene.json").is_file()),
         has_flash_calibration: Arc::new(flash::exists),
-    }
+    })
+}
+
+type Work<T> = Arc<dyn Fn(&Session, T, &Progress) -> Result<Value, WorkError> + Send + Sync>;
+
+fn on_pool<T: Send + 'static>(
+    pool: &Arc<rayon::ThreadPool>,
+    work: fn(&Session, T, &Progress) -> Result<Value, WorkError>,
+) -> Work<T> {
+    let pool = pool.clone();
+    Arc::new(move |session, what, progress| pool.install(|| work(session, what, progress)))
 }
 
 fn process(session: &Session, (): (), progress: &Progress) -> Result<Value, WorkError> {

@@ -1,4 +1,4 @@
-//! GLB, EXR, TIFF and report, from plain inputs.
+//! GLB and report, from plain inputs.
 
 pub mod glb;
 pub mod report;

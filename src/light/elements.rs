@@ -12,6 +12,9 @@ use std::collections::HashMap;
 /// Most cuts along an edge; a larger triangle gets larger elements.
 const MOST_CUTS: u32 = 512;
 
+/// Elements of one mesh that cutting may lead to; beyond it they are left larger.
+const MOST_ELEMENTS: f64 = 1e6;
+
 /// Elements whose normals part by more than this (cosine) do not share light when smoothed: a crease.
 const CREASE: f32 = 0.8;
 
@@ -33,11 +36,13 @@ impl Elements {
         let (mut corners, mut lattice, mut table, mut mesh_of) = (vec![], vec![], vec![], vec![]);
         for (m, (mesh, longest)) in meshes.iter().zip(longest).enumerate() {
             let mut of_mesh = Vec::with_capacity(mesh.triangles.len());
+            let wanted: f64 = (0..mesh.triangles.len())
+                .map(|t| f64::from(cuts_of(mesh.corners(t), *longest) - 1).powi(2))
+                .sum();
+            let longest = longest * (wanted / MOST_ELEMENTS).sqrt().max(1.0) as f32;
             for t in 0..mesh.triangles.len() {
                 let triangle = mesh.corners(t);
-                let [a, b, c] = triangle;
-                let edge = (b - a).length().max((c - b).length()).max((a - c).length());
-                let cuts = (edge / longest).ceil().clamp(1.0, MOST_CUTS as f32) as u32;
+                let cuts = cuts_of(triangle, longest);
                 of_mesh.push((corners.len() as u32, cuts));
                 cut(triangle, cuts, &mut corners);
             }
@@ -172,6 +177,13 @@ impl Elements {
     }
 }
 
+/// Cuts along the edges of a triangle so that no part's edge is longer than `longest`.
+fn cuts_of([a, b, c]: [Vec3; 3], longest: f32) -> u32 {
+    let edge = (b - a).length().max((c - b).length()).max((a - c).length());
+    // A NaN, from a corner that is not finite, becomes 1.
+    (edge / longest).ceil().max(1.0).min(MOST_CUTS as f32) as u32
+}
+
 /// Value at (u, v) inside an element from its three corner values.
 pub fn interpolate(corners: &[[f32; 3]; 3], [u, v]: [f32; 2]) -> [f32; 3] {
     std::array::from_fn(|c| corners[0][c] * (1.0 - u - v) + corners[1][c] * u + corners[2][c] * v)
@@ -258,6 +270,17 @@ mod tests {
             let p = a * (1.0 - local[0] - local[1]) + b * local[0] + c * local[1];
             assert!((p - Vec3::new(u, v, 0.0)).length() < 1e-4, "{p} for {u} {v}");
         }
+    }
+
+    #[test]
+    fn a_floor_much_larger_than_the_object_does_not_take_all_memory() {
+        let floor = Mesh {
+            positions: triangle().positions.iter().map(|p| *p * 1e4).collect(),
+            triangles: vec![[0, 1, 2]; 40],
+            ..Mesh::default()
+        };
+        let elements = Elements::build(&[&floor], &[0.01]);
+        assert!(elements.len() < 2_000_000, "{}", elements.len());
     }
 
     #[test]

@@ -5,8 +5,9 @@
 //! z_o displaced by `f |y| (1/z_o - 1/z)` from p. Hence nothing can stand between x and the whole disc of
 //! radius R round the lens, the lens itself included, unless some image position q has
 //! `1/z(q) - |p - q| / (f R) > 1/z`: a grey-scale dilation of inverse depth by a cone, done in two chamfer passes.
-//! What hides o from the lens is nearer still and dilates farther, so the test errs on the safe side; a point
-//! that fails it is asked by rays.
+//! What hides o from the lens is nearer still and dilates farther. The map is as coarse as its points, so the
+//! surface's own slope over a neighbourhood of them is allowed for; beyond that the test errs on the safe side, and
+//! a point that fails it is asked by rays.
 //!
 //! The same depth map tells where one surface ends before another.
 
@@ -25,8 +26,16 @@ const EDGE_RADIUS: usize = 2;
 /// A step between neighbouring pixels of more than this many pixel footprints is an occlusion edge.
 const EDGE_STEP: f64 = 4.0;
 
-/// Occluders that would throw a shadow narrower than this, in points of the map, are not looked for.
-const NARROWEST: f32 = 1.5;
+/// Most that is allowed for the surface's own slope, in points of the map times the cone's fall: a steeper surface
+/// may shadow itself.
+const STEEPEST: f32 = 1.5;
+
+/// Points over which the surface's own slope enters the dilated map: the 3x3 neighbourhood's corner, and half a
+/// point from the look-up.
+const NEIGHBOURHOOD: f64 = 2.2;
+
+/// Rounding of inverse depth, relative.
+const ROUNDING: f64 = 1e-4;
 
 /// Chamfer weights, a little short of 1 and the root of 2, so that distances are not overestimated.
 const STRAIGHT: f32 = 0.95;
@@ -41,7 +50,7 @@ pub struct Sight {
     /// Inverse depth dilated by the cone, 1/m.
     dilated: Image<f32>,
     edge: Image<bool>,
-    tolerance: f32,
+    steepest: f64,
 }
 
 impl Sight {
@@ -72,13 +81,17 @@ impl Sight {
             axis: map.axis,
             dilated: dilate(inverse, fall),
             edge: edges(&hits, &map),
-            tolerance: NARROWEST * fall,
+            steepest: f64::from(STEEPEST * fall),
         }
     }
 
-    /// Whether nothing stands between a point (camera frame, metres) and the lamp's disc. False means: ask.
-    pub fn is_free(&self, local: DVec3) -> bool {
-        self.at(&self.dilated, local).is_some_and(|d| *d <= (1.0 / local.z) as f32 + self.tolerance)
+    /// Whether nothing stands between a surface point with unit normal (camera frame, metres) and the lamp's
+    /// disc. False means: ask.
+    pub fn is_free(&self, local: DVec3, facing: DVec3) -> bool {
+        // Inverse depth of a plane is linear over the image; this is its change a point of the map.
+        let slope = facing.truncate().length() / (facing.dot(local).abs() * self.focal);
+        let allowed = (NEIGHBOURHOOD * slope).min(self.steepest) + ROUNDING / local.z;
+        self.at(&self.dilated, local).is_some_and(|d| f64::from(*d) <= 1.0 / local.z + allowed)
     }
 
     /// Whether a point (camera frame, metres) is seen beside an occlusion edge, or outside the map.
@@ -226,12 +239,25 @@ mod tests {
                 let clear = ring.irradiance(point, -DVec3::Z);
                 let got = ring.shadowed_irradiance(&kernel, &DAffine3::IDENTITY, point, -DVec3::Z, 1e-4);
                 let is_lit = got > 0.999 * clear;
-                assert!(is_lit || !sight.is_free(point), "{point}: {}", got / clear);
+                assert!(is_lit || !sight.is_free(point, -DVec3::Z), "{point}: {}", got / clear);
                 lit += i32::from(is_lit);
-                free += i32::from(sight.is_free(point));
+                free += i32::from(sight.is_free(point, -DVec3::Z));
             }
         }
         assert!(free < 4800 && f64::from(free) > 0.9 * f64::from(lit), "{free} free of {lit} lit");
+    }
+
+    #[test]
+    fn a_wall_close_behind_a_plate_is_not_called_free() {
+        let quad = |s: f32, z: f32| {
+            let p = [[-s, -s], [s, -s], [s, s], [-s, s]].map(|[x, y]| Vec3::new(x, y, z));
+            [[p[0], p[1], p[2]], [p[0], p[2], p[3]]]
+        };
+        let kernel = RayKernel::build([quad(2.0, 1.0), quad(0.05, 0.99)].concat());
+        let sight = Sight::look(&kernel, &[-Vec3::Z; 4], &camera(), 0.085);
+        assert!(!sight.is_free(DVec3::new(0.0, 0.0, 1.0), -DVec3::Z));
+        assert!(sight.is_free(DVec3::new(0.0, 0.0, 0.99), -DVec3::Z));
+        assert!(sight.is_free(DVec3::new(0.2, 0.1, 1.0), -DVec3::Z));
     }
 
     #[test]

@@ -21,6 +21,16 @@ pub enum DevelopError {
         /// What is wrong.
         source: IsolateError,
     },
+    /// The room's light cannot be scaled.
+    #[error(
+        "pair {name}: only one of its two frames tells the {setting}, so that the room's light cannot be taken out; shoot it again with one setting for both"
+    )]
+    Lacking {
+        /// Pair.
+        name: String,
+        /// Which setting.
+        setting: &'static str,
+    },
     /// The light cannot be compared with the calibration's.
     #[error(
         "pair {name}: its files do not tell the {setting} but the flash calibration's do (or the other way round); calibrate with the lens and body that took the photos"
@@ -54,7 +64,8 @@ pub fn known_light(
     let folder = session.pair_dir(pair.number);
     let (on, off) =
         rayon::join(|| raw::read(&folder.join(&pair.on.file)), || raw::read(&folder.join(&pair.off.file)));
-    let scale = exposure(&pair.on.settings) / exposure(&pair.off.settings);
+    let scale = exposure_ratio(&pair.on.settings, &pair.off.settings)
+        .map_err(|setting| DevelopError::Lacking { name: pair.name.clone(), setting })?;
     isolate(&on?.mosaic, &off?.mosaic, scale as f32, &calibration.noise)
         .map(|mosaic| demosaic(&mosaic, calibration.radiance))
         .map_err(|source| DevelopError::Isolate { name: pair.name.clone(), source })
@@ -80,8 +91,36 @@ pub fn lamp(pair: &PairRecord, calibration: &FlashCalibration) -> Result<Lamp, D
     })
 }
 
-/// t ISO / N^2; what is not told counts as equal in both frames, which the pair's checks have made sure of.
-fn exposure(settings: &Settings) -> f64 {
-    let aperture = settings.aperture.map_or(1.0, |n| n.0);
-    settings.shutter.map_or(1.0, |t| t.0) * settings.iso.map_or(1.0, |s| s.0) / (aperture * aperture)
+/// S_on / S_off with S = t ISO / N^2. What neither frame tells counts as equal; what one of them lacks is an error
+/// that names the setting.
+pub(super) fn exposure_ratio(on: &Settings, off: &Settings) -> Result<f64, &'static str> {
+    let ratio = |on: Option<f64>, off: Option<f64>, setting| match (on, off) {
+        (Some(on), Some(off)) => Ok(on / off),
+        (None, None) => Ok(1.0),
+        _ => Err(setting),
+    };
+    let time = ratio(on.shutter.map(|t| t.0), off.shutter.map(|t| t.0), "shutter")?;
+    let iso = ratio(on.iso.map(|s| s.0), off.iso.map(|s| s.0), "ISO")?;
+    let aperture = ratio(on.aperture.map(|n| n.0), off.aperture.map(|n| n.0), "aperture")?;
+    Ok(time * iso / (aperture * aperture))
+}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::units::{FNumber, Iso, Seconds};
+
+    #[test]
+    fn the_rooms_light_scales_with_time_iso_and_aperture_and_not_with_what_nobody_told() {
+        let on = Settings {
+            shutter: Some(Seconds(1.0 / 60.0)),
+            aperture: Some(FNumber(8.0)),
+            iso: Some(Iso(200.0)),
+            ..Settings::default()
+        };
+        let off = Settings { shutter: Some(Seconds(1.0 / 120.0)), iso: Some(Iso(100.0)), ..on.clone() };
+        assert!((exposure_ratio(&on, &off).unwrap() - 4.0).abs() < 1e-9);
+        let untold = Settings::default();
+        assert_eq!(exposure_ratio(&untold, &untold), Ok(1.0));
+        assert_eq!(exposure_ratio(&on, &Settings { shutter: None, ..on.clone() }), Err("shutter"));
+    }
 }

@@ -5,7 +5,7 @@ use crate::codec::raw::{self, RawError};
 use crate::light::{Ring, RingError};
 use crate::pair::Settings;
 use crate::photometry::{IsolateError, NoNoise, NoiseModel, isolate, isolate_dark};
-use crate::pipeline::scene;
+use crate::pipeline::{develop::exposure_ratio, scene};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Distortion, Intrinsics};
 use crate::session::{Session, store};
@@ -115,7 +115,15 @@ pub fn calibrate(
         let on = raw::read(&shot.on)?;
         let off = shot.off.as_deref().map(raw::read).transpose()?;
         same_settings(settings.get_or_insert_with(|| on.settings.clone()), &on.settings, &shot.on)?;
-        frames.push((shot, on.mosaic, off.map(|p| p.mosaic)));
+        let off = match off {
+            Some(off) => {
+                let ratio = exposure_ratio(&on.settings, &off.settings)
+                    .map_err(|setting| FlashError::Settings { label: label(&shot.on), setting })?;
+                Some((off.mosaic, ratio as f32))
+            }
+            None => None,
+        };
+        frames.push((shot, on.mosaic, off));
     }
     let settings = settings.ok_or(FlashError::NoShots)?;
     progress.report("fitting the flash", 0, 1);
@@ -126,7 +134,7 @@ pub fn calibrate(
     for (shot, on, off) in &frames {
         let label = label(&shot.on);
         let known = match off {
-            Some(off) => isolate(on, off, 1.0, &noise)
+            Some((off, ratio)) => isolate(on, off, *ratio, &noise)
                 .map_err(|source| FlashError::Isolate { label: label.clone(), source })?,
             None => isolate_dark(on, &noise),
         };

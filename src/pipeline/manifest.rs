@@ -65,6 +65,7 @@ impl StageManifest {
 /// Digest of a stage's inputs: every part is set off by its length, so that no two lists look alike.
 pub(super) fn digest(parts: &[&[u8]]) -> String {
     let mut all = METHOD.to_le_bytes().to_vec();
+    all.extend(env!("CARGO_PKG_VERSION").as_bytes());
     for part in parts {
         all.extend((part.len() as u64).to_le_bytes());
         all.extend(*part);

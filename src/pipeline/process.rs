@@ -28,11 +28,12 @@ use std::path::{Path, PathBuf};
 /// Largest texture side that is made.
 const LARGEST_TEXTURE: usize = 16384;
 
-/// Memory that the observations of a texture of the default size may take, bytes; about [`OBSERVED`] of its texels
-/// are seen by any one view, at [`OBSERVATION`] bytes each.
-const MEMORY: f64 = 6e9;
+/// Share of a texture's texels that any one view sees, about, and bytes that are kept of each look.
 const OBSERVED: f64 = 0.15;
 const OBSERVATION: f64 = 52.0;
+
+/// Bytes that a texel takes whether seen or not: layout, estimate, images.
+const TEXEL: f64 = 150.0;
 
 /// What is to be made.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -88,6 +89,18 @@ pub enum ProcessError {
     /// A texture size that cannot be.
     #[error("texture size {0} is not possible: give a number of texels from 16 to {LARGEST_TEXTURE}")]
     TextureSize(usize),
+    /// More memory than there is.
+    #[error(
+        "a texture of {size} x {size} texels over this many views needs about {needs:.1} GB, but {has:.1} GB are free: use a smaller --texture-size"
+    )]
+    Memory {
+        /// Side asked for.
+        size: usize,
+        /// GB.
+        needs: f64,
+        /// GB.
+        has: f64,
+    },
     /// Session.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -112,6 +125,9 @@ pub enum ProcessError {
     /// A preview in the report.
     #[error(transparent)]
     Preview(#[from] PngError),
+    /// A derived file does not fit the scene.
+    #[error("{} was made from another scene: delete it and process again", .0.display())]
+    Stale(PathBuf),
     /// The file system refused.
     #[error("cannot write {}: {source}", path.display())]
     Io {
@@ -164,7 +180,7 @@ pub fn process(
         }
     };
     if options.views {
-        summary.views = super::views::make(session, &inputs, &key, &mut manifest, progress)?;
+        summary.views = super::views::make(session, &inputs, &mut manifest, progress)?;
         summary.up_to_date &= summary.views.0 == 0;
     }
     Ok(summary)
@@ -248,9 +264,15 @@ fn no_pairs(left_out: &[LeftOut], scene: &Scene) -> String {
 }
 
 fn texture_size(options: &ProcessOptions, inputs: &Inputs) -> Result<usize, ProcessError> {
+    let views = inputs.matched.len() as f64;
+    let needs = |size: usize| (size * size) as f64 * (TEXEL + views * OBSERVED * OBSERVATION);
+    let has = memory();
     if let Some(size) = options.texture_size {
-        let possible = (16..=LARGEST_TEXTURE).contains(&size);
-        return if possible { Ok(size) } else { Err(ProcessError::TextureSize(size)) };
+        if !(16..=LARGEST_TEXTURE).contains(&size) {
+            return Err(ProcessError::TextureSize(size));
+        }
+        let (needs, has) = (needs(size) / 1e9, has / 1e9);
+        return if needs < has { Ok(size) } else { Err(ProcessError::Memory { size, needs, has }) };
     }
     let Some(object) = inputs.scene.meshes.first() else { return Ok(1024) };
     let n = object.positions.len().max(1) as f32;
@@ -261,11 +283,18 @@ fn texture_size(options: &ProcessOptions, inputs: &Inputs) -> Result<usize, Proc
         .map(|(_, camera)| (camera.centre() - centre).length() / camera.intrinsics.focal.max_element())
         .fold(f64::INFINITY, f64::min);
     let mut size = atlas::fitting_size(object, finest);
-    let needs = |size: usize| (size * size * inputs.matched.len()) as f64 * OBSERVED * OBSERVATION;
-    while size > 256 && needs(size) > MEMORY {
+    while size > 256 && needs(size) > has / 2.0 {
         size /= 2;
     }
     Ok(size)
+}
+
+/// Memory that is free now, bytes, as Linux estimates it; where it does not tell, what a small machine has.
+fn memory() -> f64 {
+    let told = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let line = told.lines().find_map(|l| l.strip_prefix("MemAvailable:"));
+    let kilobytes = line.and_then(|l| l.trim().trim_end_matches("kB").trim().parse::<f64>().ok());
+    kilobytes.map_or(4e9, |k| 1024.0 * k)
 }
 
 fn solve_and_write(
@@ -335,7 +364,10 @@ fn write(
         comments: Some(what.into()),
     };
     let rho: Rgb = atlas::fill(&texture.filled);
-    let sd = texture.estimates.map(|e| e.map_or([0.0; 3], |e| e.sd));
+    let scale_error = scale_error(&inputs.calibration);
+    let sd = texture
+        .estimates
+        .map(|e| e.map_or([0.0; 3], |e| std::array::from_fn(|c| e.sd[c].hypot(e.rho[c] * scale_error[c]))));
     let views: Image<f32> = texture.estimates.map(|e| e.map_or(0.0, |e| f32::from(e.views)));
     whole(&model.join("reflectance.exr"), |to| {
         exr_image::write_rgb(to, &rho, &meta("diffuse reflectance, 0 to 1; row 0 at v = 1"))
@@ -374,6 +406,12 @@ fn write(
     })?;
     let path = model.join("report.html");
     store::write_atomic(&path, report.as_bytes()).map_err(io(&path))
+}
+
+/// Relative error of the lamp's radiance, which all texels share.
+fn scale_error(calibration: &FlashCalibration) -> [f32; 3] {
+    let error = calibration.radiance_error.unwrap_or_default();
+    std::array::from_fn(|c| (error[c] / calibration.radiance[c]) as f32)
 }
 
 /// Writes a file under a temporary name and gives it its own when it is whole.

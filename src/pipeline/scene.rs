@@ -1,6 +1,6 @@
 //! Cameras and meshes of other programs into a session, and back out of it.
 //!
-//! [`import`] keeps the originals under `scene/originals/` as they are and writes `scene/scene.json`: cameras
+//! [`import()`] keeps the originals under `scene/originals/` as they are and writes `scene/scene.json`: cameras
 //! in our conventions and metres, which mesh file is which, what was read and how it was scaled, and the
 //! figures of a self-check. `scene.json` is replaced last, in one step, so an import that breaks off leaves
 //! the former scene whole. [`load`] reads the scene again and refuses originals that were altered.

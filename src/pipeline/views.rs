@@ -40,12 +40,13 @@ fn elements(session: &Session) -> Result<Vec<[f32; 3]>, ProcessError> {
 pub(super) fn make(
     session: &Session,
     inputs: &Inputs,
-    texture_key: &str,
     manifest: &mut StageManifest,
     progress: &Progress,
 ) -> Result<(usize, usize), ProcessError> {
     let stage_name = |name: &str| format!("view {name}");
-    let key = |name: &str| digest(&[texture_key.as_bytes(), name.as_bytes()]);
+    let rho_file = session.path().join(ELEMENTS);
+    let rho_digest = store::digest_file(&rho_file).map_err(io(&rho_file))?;
+    let key = |name: &str| digest(&[inputs.key.as_bytes(), rho_digest.as_bytes(), name.as_bytes()]);
     let (mut missing, mut standing) = (vec![], 0);
     for (pair, camera) in &inputs.matched {
         if manifest.is_done(session, &stage_name(&pair.name), &key(&pair.name)) {
@@ -61,6 +62,9 @@ pub(super) fn make(
     let (stage, _) = stage(&mut scene);
     let transport = stage.transport(progress)?;
     let rho = elements(session)?;
+    if rho.len() != stage.elements.len() {
+        return Err(ProcessError::Stale(rho_file));
+    }
     let made = missing.len();
     for (i, (pair, camera)) in missing.into_iter().enumerate() {
         progress.report("per-view images", i, made);

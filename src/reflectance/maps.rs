@@ -1,7 +1,7 @@
 //! Per-view images: the light a white surface would have sent to each pixel, and measured over simulated.
 //!
-//! For people who texture elsewhere (the thesis's way). Reflectance is absent where the view shows no mesh,
-//! where a site was clipped, and where so little light fell that noise alone would blur it by more than
+//! For people who texture elsewhere (the thesis's way). Reflectance is absent where the view shows no mesh or
+//! one from behind, where a site was clipped, and where so little light fell that noise alone would blur it by more than
 //! [`MOST_DEVIATION`].
 
 use super::observe::Illumination;
@@ -9,12 +9,15 @@ use crate::light::{Elements, interpolate};
 use crate::photometry::Known;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
-use glam::{DVec2, Vec3};
+use glam::DVec2;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// Samples per pixel edge.
 const GRID: usize = 2;
+
+/// Least cosine towards the camera: beyond it (84 degrees), and from behind, nothing is told.
+const GRAZING: f32 = 0.1;
 
 /// Largest standard deviation (of 1) of a reflectance that is given.
 pub const MOST_DEVIATION: f32 = 0.1;
@@ -75,7 +78,7 @@ fn white(
         let hit = elements.kernel().nearest(origin, ray, 0.0, f32::INFINITY)?;
         let element = hit.triangle as usize;
         let normal = elements.normal(element);
-        if normal == Vec3::ZERO {
+        if normal.dot(ray) >= -GRAZING * ray.length() {
             return None;
         }
         let unit = light.direct(origin + ray * hit.t, normal);

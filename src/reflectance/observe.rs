@@ -74,7 +74,7 @@ impl<'a> Illumination<'a> {
     pub fn direct(&self, point: Vec3, normal: Vec3) -> f64 {
         let local = self.camera_from_world.transform_point3(point.as_dvec3());
         let facing = self.camera_from_world.transform_vector3(normal.as_dvec3());
-        if self.sight.is_free(local) {
+        if self.sight.is_free(local, facing) {
             return self.lamp.ring.irradiance(local, facing);
         }
         let world_from_camera = &self.camera.world_from_camera;
@@ -90,7 +90,8 @@ impl<'a> Illumination<'a> {
     /// Whether the camera sees a point with unit normal (world frame), and whether beside an occlusion edge.
     fn sees(&self, point: Vec3, normal: Vec3) -> Option<bool> {
         let local = self.camera_from_world.transform_point3(point.as_dvec3());
-        if !self.sight.is_free(local) {
+        let facing = self.camera_from_world.transform_vector3(normal.as_dvec3());
+        if !self.sight.is_free(local, facing) {
             let start = (point.as_dvec3() + normal.as_dvec3() * self.offset).as_vec3();
             let to_lens = self.camera.centre().as_vec3() - start;
             if self.elements.kernel().occluded(start, to_lens, 0.0, 1.0) {

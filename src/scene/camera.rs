@@ -77,13 +77,21 @@ impl Camera {
     }
 
     /// Pixel coordinates of a world point, and its depth along the optical axis in metres; `None` behind the
-    /// camera. The point may lie outside the frame.
+    /// camera, and where the lens distortion no longer has an inverse. The point may lie outside the frame.
     pub fn project(&self, world: DVec3) -> Option<(DVec2, f64)> {
         let p = self.world_from_camera.inverse().transform_point3(world);
         if p.z <= 1e-9 {
             return None;
         }
-        let d = self.intrinsics.distortion.distort(DVec2::new(p.x / p.z, p.y / p.z));
+        let straight = DVec2::new(p.x / p.z, p.y / p.z);
+        let distortion = &self.intrinsics.distortion;
+        let d = distortion.distort(straight);
+        // Far outside its field a distortion polynomial folds back into the frame.
+        if *distortion != Distortion::default()
+            && (distortion.undistort(d) - straight).length() > 1e-6 * (1.0 + straight.length())
+        {
+            return None;
+        }
         Some((d * self.intrinsics.focal + self.intrinsics.principal, p.z))
     }
 
@@ -123,6 +131,8 @@ mod tests {
             assert!((back - pixel).length() < 1e-9, "{back} for {pixel}");
             assert!((depth - 0.83).abs() < 1e-12);
         }
+        let far_aside = camera.world_from_camera.transform_point3(DVec3::new(2.7, 0.0, 1.0));
+        assert!(camera.project(far_aside).is_none(), "the polynomial folds back there");
         assert!(camera.project(camera.centre() - camera.ray(DVec2::new(300.0, 200.0))).is_none());
     }
 }

@@ -1,13 +1,15 @@
 //! Writes down what the studio knows: geometry as a photographer would bring it from a reconstruction, and the
 //! truth, which processing must never read.
 //!
-//!     geometry/object.obj, floor.obj   metres, z up
-//!     geometry/cameras.xml             BlocksExchange 2.1: omega, phi, kappa in degrees, XRightYDown
-//!     geometry/colmap/                 the same cameras as a COLMAP text model
-//!     truth/albedo/NAME.tif            reflectance * 65535 as each camera sees it through its lens
-//!     truth/mask/NAME.tif              share of the pixel that is object * 255
-//!     truth/texture.tif                reflectance * 65535 in the object's texture coordinates
-//!     truth/scene.json                 sensor, flash, exposure, poses
+//! ```text
+//! geometry/object.obj, floor.obj   metres, z up
+//! geometry/cameras.xml             BlocksExchange 2.1: omega, phi, kappa in degrees, XRightYDown
+//! geometry/colmap/                 the same cameras as a COLMAP text model
+//! truth/albedo/NAME.tif            reflectance * 65535 as each camera sees it through its lens
+//! truth/mask/NAME.tif              share of the pixel that is object * 255
+//! truth/texture.tif                reflectance * 65535 in the object's texture coordinates
+//! truth/scene.json                 sensor, flash, exposure, poses
+//! ```
 //!
 //! NAME is the number of the pair (`0001` at the first stop) of a session whose operator walked once round.
 

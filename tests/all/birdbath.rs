@@ -1,6 +1,6 @@
 //! The main job from files alone, by the program itself, on a scene that another renderer made.
 
-use crate::scene_import::shared;
+use crate::samples::shared;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -1,6 +1,7 @@
 //! The yardstick: what is exactly right scores 0, and a known error is found.
 
-use crate::scene_import::{bare_session, import_birdbath, shared};
+use crate::samples::shared;
+use crate::scene_import::{bare_session, import_birdbath};
 use unlit::codec::exr_image::{self, Meta};
 use unlit::codec::tiff16;
 use unlit::pipeline::evaluate::{EvaluateError, evaluate};

@@ -13,6 +13,7 @@ mod floors;
 mod main_job;
 mod pairs;
 mod raw;
+mod samples;
 mod scene_import;
 mod session;
 mod studio_world;

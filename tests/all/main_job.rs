@@ -133,6 +133,7 @@ fn pairs_posted_to_the_api_become_a_model_unaided() {
     let score = evaluate(&session, &studio.join("truth"), &Progress::silent()).unwrap().texture.unwrap();
     println!("{:?}", score.full);
     println!("{:?}", score.blocks);
+    assert!(score.by_view.len() >= PAIRS);
     let seen_by_the_cameras = score.by_view.iter().take(PAIRS);
     for view in seen_by_the_cameras {
         assert!(view.full.mean.abs() < 0.02 && view.full.standard_deviation < 0.08, "{view:?}");

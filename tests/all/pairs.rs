@@ -1,6 +1,6 @@
 //! Pairs as files: the bird bath's good and bad ones through checks, import and command line.
 
-use crate::raw::shared;
+use crate::samples::shared;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use unlit::codec::raw;

@@ -1,5 +1,6 @@
 //! Raw files: values against dcraw, errors that say what to do, and files that lie.
 
+use crate::samples::shared;
 use rand::{RngExt, SeedableRng};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -9,17 +10,6 @@ use unlit::pair::Settings;
 use unlit::photometry::{Cfa, LevelSource, Levels, Mosaic};
 use unlit::raster::Image;
 use unlit::units::{FNumber, Iso, Seconds};
-
-/// A file or folder of the shared test data, which lies beside the checkout or where UNLIT_SHARED says.
-pub(crate) fn shared(relative: &str) -> PathBuf {
-    let beside = || {
-        let above = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().skip(1).map(|a| a.join("shared"));
-        above.into_iter().find(|p| p.exists()).unwrap_or_default()
-    };
-    let path = std::env::var_os("UNLIT_SHARED").map_or_else(beside, PathBuf::from).join(relative);
-    assert!(path.exists(), "{} is missing: set UNLIT_SHARED to the folder of shared files", path.display());
-    path
-}
 
 fn sample(name: &str) -> PathBuf {
     shared("data/raw").join(name)

@@ -1,20 +1,11 @@
 //! Camera files of other programs agree with each other in our conventions.
 
-use std::path::PathBuf;
+use crate::samples::shared;
 use unlit::pipeline::scene::{self, Lengths, SceneError, Unit};
 use unlit::progress::Progress;
 use unlit::scene::Camera;
 use unlit::scene::import::{blocks_exchange, colmap_text};
 use unlit::session::Session;
-
-/// A file of the shared samples; fails by name where they are not laid out.
-pub(crate) fn shared(path: &str) -> PathBuf {
-    let root = std::env::var_os("UNLIT_SHARED")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared")), PathBuf::from);
-    let path = root.join(path);
-    assert!(path.exists(), "{} is missing; set UNLIT_SHARED to the folder of shared samples", path.display());
-    path
-}
 
 fn text(path: &str) -> String {
     std::fs::read_to_string(shared(path)).unwrap()
