@@ -37,7 +37,8 @@ impl Elements {
         for (m, (mesh, longest)) in meshes.iter().zip(longest).enumerate() {
             let mut of_mesh = Vec::with_capacity(mesh.triangles.len());
             let wanted: f64 = (0..mesh.triangles.len())
-                .map(|t| f64::from(cuts_of(mesh.corners(t), *longest) - 1).powi(2))
+                .map(|t| f64::from(longest_edge(mesh.corners(t)) / longest).powi(2))
+                .filter(|parts| *parts > 1.0 && parts.is_finite())
                 .sum();
             let longest = longest * (wanted / MOST_ELEMENTS).sqrt().max(1.0) as f32;
             for t in 0..mesh.triangles.len() {
@@ -178,10 +179,13 @@ impl Elements {
 }
 
 /// Cuts along the edges of a triangle so that no part's edge is longer than `longest`.
-fn cuts_of([a, b, c]: [Vec3; 3], longest: f32) -> u32 {
-    let edge = (b - a).length().max((c - b).length()).max((a - c).length());
+fn cuts_of(triangle: [Vec3; 3], longest: f32) -> u32 {
     // A NaN, from a corner that is not finite, becomes 1.
-    (edge / longest).ceil().max(1.0).min(MOST_CUTS as f32) as u32
+    (longest_edge(triangle) / longest).ceil().max(1.0).min(MOST_CUTS as f32) as u32
+}
+
+fn longest_edge([a, b, c]: [Vec3; 3]) -> f32 {
+    (b - a).length().max((c - b).length()).max((a - c).length())
 }
 
 /// Value at (u, v) inside an element from its three corner values.
@@ -274,9 +278,10 @@ mod tests {
 
     #[test]
     fn a_floor_much_larger_than_the_object_does_not_take_all_memory() {
+        let steps = |i: u32| triangle().positions.into_iter().map(move |p| p * 1e4 + Vec3::Z * i as f32);
         let floor = Mesh {
-            positions: triangle().positions.iter().map(|p| *p * 1e4).collect(),
-            triangles: vec![[0, 1, 2]; 40],
+            positions: (0..40).flat_map(steps).collect(),
+            triangles: (0..40).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
             ..Mesh::default()
         };
         let elements = Elements::build(&[&floor], &[0.01]);

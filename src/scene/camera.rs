@@ -131,8 +131,26 @@ mod tests {
             assert!((back - pixel).length() < 1e-9, "{back} for {pixel}");
             assert!((depth - 0.83).abs() < 1e-12);
         }
-        let far_aside = camera.world_from_camera.transform_point3(DVec3::new(2.7, 0.0, 1.0));
-        assert!(camera.project(far_aside).is_none(), "the polynomial folds back there");
         assert!(camera.project(camera.centre() - camera.ray(DVec2::new(300.0, 200.0))).is_none());
+    }
+
+    #[test]
+    fn a_point_so_far_aside_that_the_distortion_folds_back_is_not_seen() {
+        let lens = Distortion { k1: -0.11, ..Distortion::default() };
+        let camera = Camera {
+            name: "0001".into(),
+            intrinsics: Intrinsics {
+                width: 600,
+                height: 400,
+                focal: DVec2::splat(600.0),
+                principal: DVec2::new(300.0, 200.0),
+                distortion: lens,
+            },
+            world_from_camera: DAffine3::IDENTITY,
+        };
+        let folded = lens.distort(DVec2::new(2.7, 0.0));
+        assert!(folded.x.abs() < 0.6, "{folded} is not inside the frame, so this test tells nothing");
+        assert!(camera.project(DVec3::new(2.7, 0.0, 1.0)).is_none());
+        assert!(camera.project(DVec3::new(0.4, 0.2, 1.0)).is_some());
     }
 }
