@@ -178,7 +178,7 @@ impl<'a> Run<'a> {
 
     fn release(&mut self) -> Result<ShotFile, CaptureError> {
         let shot = self.bench.camera().and_then(|camera| camera.shoot());
-        shot.map_err(|error| {
+        shot.map(|shot| shot.raw).map_err(|error| {
             self.bench.note_camera_error(&error);
             error.into()
         })

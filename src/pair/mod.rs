@@ -3,11 +3,13 @@
 mod checks;
 mod limits;
 mod motion;
+mod plan;
 mod record;
 mod rise;
 mod settings;
 
 pub use checks::{Expected, FrameView, judge, judge_expecting};
 pub use limits::Limits;
+pub use plan::{Dial, Exposure, Offered, Plan};
 pub use record::{FlashRecord, FrameRecord, PairRecord, Reason, ReasonCode, Verdict};
 pub use settings::Settings;

@@ -6,4 +6,7 @@ pub mod flash;
 mod traits;
 pub mod usb;
 
-pub use traits::{Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, ShotFile};
+pub use traits::{
+    Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, LockItem, LockReport,
+    LockState, Shot, ShotFile, ShotTimes,
+};

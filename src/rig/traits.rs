@@ -1,6 +1,6 @@
 //! What capture asks of a camera and of a flash, whatever stands behind them.
 
-use crate::pair::Settings;
+use crate::pair::{Dial, Offered, Settings};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -22,6 +22,73 @@ pub struct ShotFile {
     pub name: String,
     /// Its bytes.
     pub bytes: Vec<u8>,
+}
+
+/// How long a shot took, part by part.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ShotTimes {
+    /// From the request to the camera's word that a file waits: exposure and the camera's own work.
+    pub exposing: Duration,
+    /// Download of all files of the shot.
+    pub transfer: Duration,
+    /// From the last byte to the camera's word that it is ready.
+    pub until_ready: Duration,
+    /// From the call to its return, everything included.
+    pub total: Duration,
+}
+
+/// One release of the shutter: everything that the camera made of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shot {
+    /// The raw file.
+    pub raw: ShotFile,
+    /// The JPEG of a body that writes RAW+JPEG.
+    pub jpeg: Option<ShotFile>,
+    /// Where the time went.
+    pub times: ShotTimes,
+}
+
+/// How one setting of the exposure lock stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LockState {
+    /// As it must be.
+    Locked,
+    /// It was otherwise; it was set, and reads as it must be.
+    Corrected,
+    /// It is otherwise and cannot be set from here: pairs would be spoilt.
+    Wrong,
+    /// The camera does not tell it: the operator is asked.
+    Unreadable,
+    /// Pairs can be shot, but there is something to know (a wide aperture, a shutter faster than X-sync).
+    Warning,
+}
+
+/// One setting of the exposure lock.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LockItem {
+    /// Stable name (`mode`, `focus`, `drive`, `white_balance`, `file_format`, ...).
+    pub name: String,
+    /// How it stands.
+    pub state: LockState,
+    /// What the camera says; empty when it does not tell.
+    pub value: String,
+    /// What it means, and what to do or to check.
+    pub sentence: String,
+}
+
+/// The exposure lock, item by item.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LockReport {
+    /// In the order of the maker's table.
+    pub items: Vec<LockItem>,
+}
+
+impl LockReport {
+    /// Sentences of the items in `state`.
+    pub fn sentences(&self, state: LockState) -> Vec<&str> {
+        self.items.iter().filter(|i| i.state == state).map(|i| i.sentence.as_str()).collect()
+    }
 }
 
 /// What went wrong at the camera, and what the operator can do.
@@ -73,8 +140,27 @@ pub trait Camera: Send {
     /// Settings as the camera reports them now.
     fn settings(&mut self) -> Result<Settings, CameraError>;
 
-    /// Releases the shutter once and brings the file; returns only when the camera is ready for the next.
-    fn shoot(&mut self) -> Result<ShotFile, CameraError>;
+    /// What the dials offer now.
+    fn offered(&mut self) -> Result<Offered, CameraError>;
+
+    /// Turns one dial to a value that it offers. Whether the camera obeyed is proved by the next file's EXIF.
+    fn set(&mut self, dial: Dial) -> Result<(), CameraError>;
+
+    /// Goes through everything that must stand still while pairs are shot, sets what can be set, and says how
+    /// each item stands.
+    fn lock(&mut self) -> Result<LockReport, CameraError>;
+
+    /// A live picture (JPEG).
+    fn preview(&mut self) -> Result<Vec<u8>, CameraError>;
+
+    /// Brings a camera back after a call that failed, from the gentlest step to the roughest, and tells the steps
+    /// taken in words. An error says what the operator must do.
+    fn recover(&mut self) -> Result<Vec<String>, CameraError> {
+        self.info().map(|_| Vec::new())
+    }
+
+    /// Releases the shutter once and brings its files; returns only when the camera is ready for the next.
+    fn shoot(&mut self) -> Result<Shot, CameraError>;
 }
 
 /// How the flash stands, in words for the page.

@@ -12,4 +12,4 @@ mod wires;
 pub mod world;
 
 pub use board::{Board, BoardOptions};
-pub use wires::{Exposure, SyncContact, View};
+pub use wires::{SyncContact, View};

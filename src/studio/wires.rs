@@ -1,17 +1,6 @@
 //! What runs between the simulated devices: the sync contact, and the light through the lens.
 
-use crate::units::{FNumber, Iso, Seconds};
-
-/// Settings of the simulated body at the moment of release. The values are the labels that the camera shows.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Exposure {
-    /// Exposure time label.
-    pub shutter: Seconds,
-    /// Aperture label.
-    pub aperture: FNumber,
-    /// Sensitivity label.
-    pub iso: Iso,
-}
+use crate::pair::Exposure;
 
 /// The camera's X-sync contact. The board at its other end alone decides whether light follows.
 pub trait SyncContact: Send + Sync {

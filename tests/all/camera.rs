@@ -4,10 +4,11 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
-use unlit::rig::camera::{Deadlines, Dial, HostedCamera, list_with};
+use unlit::pair::{Dial, Exposure};
+use unlit::rig::camera::{Deadlines, HostedCamera, list_with};
 use unlit::rig::{Camera, CameraError};
+use unlit::studio::View;
 use unlit::studio::camera::{CameraServer, Fault};
-use unlit::studio::{Exposure, View};
 use unlit::units::{FNumber, Iso, Seconds};
 
 /// Gives a different blob for each frame, longer than one download chunk, and remembers the exposures.
@@ -90,9 +91,9 @@ fn shots_in_a_row_bring_each_frame_once_and_whole() {
     for number in 0..3 {
         let began = Instant::now();
         let shot = camera.shoot().unwrap();
-        eprintln!("shot {number}: {} bytes in {:?}", shot.bytes.len(), began.elapsed());
-        assert!(shot.bytes == blob(number), "frame {number} is not what the sensor gave");
-        assert!(shot.name.ends_with(".cr2"), "{}", shot.name);
+        eprintln!("shot {number}: {} bytes in {:?}", shot.raw.bytes.len(), began.elapsed());
+        assert!(shot.raw.bytes == blob(number), "frame {number} is not what the sensor gave");
+        assert!(shot.raw.name.ends_with(".cr2"), "{}", shot.raw.name);
         assert_eq!(studio.frames(), number + 1);
     }
     let began = Instant::now();
@@ -132,7 +133,7 @@ fn a_live_picture_comes_and_the_next_shot_is_unharmed() {
     let mut camera = studio.camera();
     assert_eq!(camera.preview().unwrap(), PREVIEW);
     assert_eq!(camera.preview().unwrap(), PREVIEW);
-    assert!(camera.shoot().unwrap().bytes == blob(0));
+    assert!(camera.shoot().unwrap().raw.bytes == blob(0));
 }
 
 #[test]
@@ -147,7 +148,7 @@ fn a_stalled_camera_misses_its_deadline_and_works_again_once_mended() {
     assert!(began.elapsed() < Duration::from_secs(2), "took {:?}", began.elapsed());
     assert_eq!(studio.frames(), 0);
     studio.server.mend();
-    assert!(camera.shoot().unwrap().bytes == blob(0));
+    assert!(camera.shoot().unwrap().raw.bytes == blob(0));
     assert_eq!(studio.frames(), 1, "the shot that stalled is not made up for");
 }
 
@@ -203,7 +204,7 @@ fn a_library_that_spins_for_ever_is_killed_at_the_deadline() {
     assert!(matches!(error, CameraError::Deadline { .. }), "{error}");
     assert!(began.elapsed() < Duration::from_secs(4), "took {:?}", began.elapsed());
     studio.server.mend();
-    assert!(studio.camera().shoot().unwrap().bytes == blob(0));
+    assert!(studio.camera().shoot().unwrap().raw.bytes == blob(0));
 }
 
 #[test]
@@ -213,7 +214,7 @@ fn a_killed_host_is_started_again_by_the_next_shot() {
     camera.shoot().unwrap();
     let id = camera.host_id().unwrap();
     assert!(std::process::Command::new("kill").args(["-9", &id.to_string()]).status().unwrap().success());
-    assert!(camera.shoot().unwrap().bytes == blob(1));
+    assert!(camera.shoot().unwrap().raw.bytes == blob(1));
     assert_ne!(camera.host_id(), Some(id));
 }
 
@@ -222,7 +223,7 @@ fn a_busy_camera_is_asked_again() {
     let studio = Studio::new();
     let mut camera = studio.camera();
     studio.server.fault(Fault::BusyOnce);
-    assert!(camera.shoot().unwrap().bytes == blob(0));
+    assert!(camera.shoot().unwrap().raw.bytes == blob(0));
     assert_eq!(studio.frames(), 1);
 }
 
@@ -234,7 +235,7 @@ fn a_link_lost_in_a_download_fails_that_shot_and_no_other() {
     let error = camera.shoot().unwrap_err();
     eprintln!("{error}");
     assert!(matches!(error, CameraError::Refused { .. } | CameraError::Deadline { .. }), "{error}");
-    assert!(camera.shoot().unwrap().bytes == blob(1), "never the frame of the shot before");
+    assert!(camera.shoot().unwrap().raw.bytes == blob(1), "never the frame of the shot before");
 }
 
 #[test]

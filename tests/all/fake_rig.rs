@@ -5,10 +5,13 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use unlit::capture::{FlashKind, RigSource};
 use unlit::codec::dng::{self, DngContent};
-use unlit::pair::Settings;
+use unlit::pair::{Dial, Offered, Settings};
 use unlit::photometry::{Cfa, LevelSource, Levels, Mosaic};
 use unlit::raster::Image;
-use unlit::rig::{Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, ShotFile};
+use unlit::rig::{
+    Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, LockReport, Shot, ShotFile,
+    ShotTimes,
+};
 use unlit::units::{FNumber, Iso, Seconds};
 
 /// What is wrong in the room.
@@ -107,7 +110,27 @@ impl Camera for FakeCamera {
         Ok(settings())
     }
 
-    fn shoot(&mut self) -> Result<ShotFile, CameraError> {
+    fn offered(&mut self) -> Result<Offered, CameraError> {
+        Ok(Offered {
+            shutters: vec![Seconds(1.0 / 60.0), Seconds(1.0 / 125.0)],
+            apertures: vec![FNumber(8.0), FNumber(11.0)],
+            isos: vec![Iso(100.0), Iso(200.0)],
+        })
+    }
+
+    fn set(&mut self, dial: Dial) -> Result<(), CameraError> {
+        Err(CameraError::Refused { operation: format!("turn {dial:?}"), reason: "fake".into() })
+    }
+
+    fn lock(&mut self) -> Result<LockReport, CameraError> {
+        Ok(LockReport::default())
+    }
+
+    fn preview(&mut self) -> Result<Vec<u8>, CameraError> {
+        Ok(vec![0xff, 0xd8, 0xff, 0xd9])
+    }
+
+    fn shoot(&mut self) -> Result<Shot, CameraError> {
         let mut room = self.0.0.lock().unwrap();
         room.log.push("shoot");
         let release = room.releases;
@@ -132,7 +155,8 @@ impl Camera for FakeCamera {
         if room.trouble == Trouble::CutsFile(release) {
             bytes.truncate(bytes.len() / 2);
         }
-        Ok(ShotFile { name: "capt0000.dng".into(), bytes })
+        let raw = ShotFile { name: "capt0000.dng".into(), bytes };
+        Ok(Shot { raw, jpeg: None, times: ShotTimes::default() })
     }
 }
 

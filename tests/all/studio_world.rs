@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use unlit::codec::exr_image::{self, Meta};
 use unlit::codec::raw::{self, Photo};
 use unlit::codec::tiff16;
+use unlit::pair::Exposure;
 use unlit::pair::{FrameView, Limits, judge};
 use unlit::photometry::LevelSource;
 use unlit::pipeline::evaluate::evaluate;
@@ -12,7 +13,7 @@ use unlit::pipeline::scene::{self, Lengths};
 use unlit::progress::Progress;
 use unlit::scene::{import, read_obj};
 use unlit::studio::world::{Stage, StageError, World};
-use unlit::studio::{Exposure, SyncContact, View, truth};
+use unlit::studio::{SyncContact, View, truth};
 use unlit::units::{FNumber, Iso, Seconds};
 
 /// A contact whose answer the test chooses; it counts its closings.

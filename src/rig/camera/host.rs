@@ -5,9 +5,9 @@
 //! the socket that it was given as standard input and answers there; whatever the library prints goes to
 //! standard error. It ends when the socket does, even from inside a call that hangs.
 
-use super::protocol::{self, Dial, Offered, Reply, Request, Trouble};
+use super::protocol::{self, Reply, Request, Trouble};
 use super::{labels, log};
-use crate::pair::Settings;
+use crate::pair::{Dial, Offered, Settings};
 use crate::rig::CameraInfo;
 use gphoto2::camera::CameraEvent;
 use gphoto2::error::ErrorKind;

@@ -10,10 +10,8 @@ mod log;
 mod process;
 mod protocol;
 
-pub use protocol::{Dial, Offered};
-
-use super::{Camera, CameraError, CameraInfo, ShotFile, usb};
-use crate::pair::Settings;
+use super::{Camera, CameraError, CameraInfo, LockReport, Shot, ShotFile, ShotTimes, usb};
+use crate::pair::{Dial, Offered, Settings};
 use process::{AskError, Process};
 use protocol::{Reply, Request, Trouble};
 use std::path::{Path, PathBuf};
@@ -116,42 +114,6 @@ impl HostedCamera {
     /// Process id of the running host, if one runs.
     pub fn host_id(&self) -> Option<u32> {
         self.host.as_ref().map(Process::id)
-    }
-
-    /// A live picture (JPEG).
-    pub fn preview(&mut self) -> Result<Vec<u8>, CameraError> {
-        let deadline = self.deadlines.other;
-        match self.ask_again("show a live picture", &Request::Preview, deadline)? {
-            (Reply::File(_), bytes) => Ok(bytes),
-            (other, _) => Err(out_of_turn(&other)),
-        }
-    }
-
-    /// What the dials offer now.
-    pub fn offered(&mut self) -> Result<Offered, CameraError> {
-        let deadline = self.deadlines.other;
-        match self.ask_again("list its settings", &Request::Offered, deadline)? {
-            (Reply::Offered(offered), _) => Ok(offered),
-            (other, _) => Err(out_of_turn(&other)),
-        }
-    }
-
-    /// Turns one dial to a value that it offers. Whether the camera obeyed is proved by the next file's EXIF:
-    /// the library reports back what it was told, not what the camera did.
-    pub fn set(&mut self, dial: Dial) -> Result<(), CameraError> {
-        let operation = match dial {
-            Dial::Shutter(value) => format!("set the shutter to {value}"),
-            Dial::Aperture(value) => format!("set the aperture to {value}"),
-            Dial::Iso(value) => format!("set the sensitivity to {value}"),
-        };
-        match self.ask_again(&operation, &Request::Set(dial), self.deadlines.other)? {
-            (Reply::Done, _) => {}
-            (other, _) => return Err(out_of_turn(&other)),
-        }
-        if let Dial::Shutter(value) = dial {
-            self.exposure = Duration::try_from_secs_f64(value.0).ok();
-        }
-        Ok(())
     }
 
     /// Starts a host and opens the camera in it, unless one runs. A host that died is replaced.
@@ -284,10 +246,51 @@ impl Camera for HostedCamera {
         }
     }
 
-    fn shoot(&mut self) -> Result<ShotFile, CameraError> {
+    fn preview(&mut self) -> Result<Vec<u8>, CameraError> {
+        let deadline = self.deadlines.other;
+        match self.ask_again("show a live picture", &Request::Preview, deadline)? {
+            (Reply::File(_), bytes) => Ok(bytes),
+            (other, _) => Err(out_of_turn(&other)),
+        }
+    }
+
+    fn offered(&mut self) -> Result<Offered, CameraError> {
+        let deadline = self.deadlines.other;
+        match self.ask_again("list its settings", &Request::Offered, deadline)? {
+            (Reply::Offered(offered), _) => Ok(offered),
+            (other, _) => Err(out_of_turn(&other)),
+        }
+    }
+
+    fn set(&mut self, dial: Dial) -> Result<(), CameraError> {
+        let operation = match dial {
+            Dial::Shutter(value) => format!("set the shutter to {value}"),
+            Dial::Aperture(value) => format!("set the aperture to {value}"),
+            Dial::Iso(value) => format!("set the sensitivity to {value}"),
+        };
+        match self.ask_again(&operation, &Request::Set(dial), self.deadlines.other)? {
+            (Reply::Done, _) => {}
+            (other, _) => return Err(out_of_turn(&other)),
+        }
+        if let Dial::Shutter(value) = dial {
+            self.exposure = Duration::try_from_secs_f64(value.0).ok();
+        }
+        Ok(())
+    }
+
+    fn lock(&mut self) -> Result<LockReport, CameraError> {
+        Ok(LockReport::default())
+    }
+
+    fn shoot(&mut self) -> Result<Shot, CameraError> {
+        let began = Instant::now();
         let deadline = self.exposure.unwrap_or(UNKNOWN_EXPOSURE) + self.deadlines.shot;
         match self.ask_again("take a picture", &Request::Shoot, deadline)? {
-            (Reply::File(name), bytes) => Ok(ShotFile { name, bytes }),
+            (Reply::File(name), bytes) => Ok(Shot {
+                raw: ShotFile { name, bytes },
+                jpeg: None,
+                times: ShotTimes { total: began.elapsed(), ..ShotTimes::default() },
+            }),
             (other, _) => Err(out_of_turn(&other)),
         }
     }

@@ -3,9 +3,8 @@
 //! A frame is `u32 length of the header, u64 length of the payload, header as JSON, payload`, little-endian.
 //! One request is answered by one reply; the payload is the bytes of a file or a preview.
 
-use crate::pair::Settings;
+use crate::pair::{Dial, Offered, Settings};
 use crate::rig::CameraInfo;
-use crate::units::{FNumber, Iso, Seconds};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::io::{self, Read, Write};
@@ -78,29 +77,6 @@ pub(super) enum Trouble {
     Refused,
 }
 
-/// One dial and where it should stand.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Dial {
-    /// Exposure time.
-    Shutter(Seconds),
-    /// Relative aperture.
-    Aperture(FNumber),
-    /// Sensitivity.
-    Iso(Iso),
-}
-
-/// The values that the camera's dials offer now, as labelled.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Offered {
-    /// Exposure times (bulb and automatic left out).
-    pub shutters: Vec<Seconds>,
-    /// F-numbers of the mounted lens.
-    pub apertures: Vec<FNumber>,
-    /// Sensitivities (automatic left out).
-    pub isos: Vec<Iso>,
-}
-
 /// Writes one frame.
 pub(super) fn send<H: Serialize>(link: &mut impl Write, header: &H, payload: &[u8]) -> io::Result<()> {
     let header = serde_json::to_vec(header)?;
@@ -141,6 +117,7 @@ fn too_long(what: &str, length: u64) -> io::Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::units::Seconds;
 
     #[test]
     fn a_frame_comes_back_as_it_was_sent() {

@@ -5,7 +5,7 @@
 
 use super::datasets::{self, u32s};
 use super::dials;
-use crate::studio::Exposure;
+use crate::pair::Exposure;
 use std::collections::BTreeMap;
 
 /// Property codes (Canon's, as in libgphoto2's ptp.h).

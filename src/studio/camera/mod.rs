@@ -15,7 +15,8 @@ mod dials;
 mod packet;
 mod responder;
 
-use crate::studio::{Exposure, View};
+use crate::pair::Exposure;
+use crate::studio::View;
 use body::Body;
 use std::io;
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};

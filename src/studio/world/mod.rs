@@ -24,10 +24,11 @@ mod stage;
 pub use cache::{SOURCE_FOLDER, StoredStop, renew};
 pub use known::{Known, KnownView, known};
 
-use super::wires::{Exposure, SyncContact, View};
+use super::wires::{SyncContact, View};
 use crate::codec::dng::{self, DngContent};
 use crate::codec::exr_half::PlanesError;
 use crate::codec::jpeg;
+use crate::pair::Exposure;
 use crate::pair::Settings;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::blur::gaussian;
