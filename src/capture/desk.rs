@@ -1,7 +1,8 @@
 //! Where wishes come in: sessions, pairs, calibration, processing. Each wish that takes time becomes a job,
 //! so that whoever asked may leave; faces (HTTP, terminal) only translate.
 
-use super::engine::{AfterPair, CaptureError, Engine};
+use super::engine::{AfterPair, Engine};
+use super::error::CaptureError;
 use super::events::{Events, Topic};
 use super::place::{CalibrationShot, PlaceError, calibration_shots, name_of};
 use super::thumbnail::{self, ThumbnailError};
@@ -305,7 +306,7 @@ impl Desk {
         let results = ["model/model.glb", "model/report.html", "model/reflectance.exr", "model/stddev.exr"];
         Ok(SessionSummary {
             name: name.to_owned(),
-            created: session.manifest().created.clone(),
+            created: session.manifest().created,
             current: sessions.current.as_deref() == Some(name),
             pairs: pairs.len(),
             accepted: pairs.iter().filter(|p| p.verdict == Verdict::Accepted).count(),

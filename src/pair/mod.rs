@@ -10,6 +10,6 @@ mod settings;
 
 pub use checks::{Expected, FrameView, judge, judge_expecting};
 pub use limits::Limits;
-pub use plan::{Dial, Exposure, Offered, Plan};
-pub use record::{FlashRecord, FrameRecord, PairRecord, Reason, ReasonCode, Verdict};
+pub use plan::{Dial, Exposure, Offered, Plan, Window, WindowOutside};
+pub use record::{CompanionRecord, FlashRecord, FrameRecord, PairRecord, Reason, ReasonCode, Verdict};
 pub use settings::Settings;

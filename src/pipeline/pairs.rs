@@ -143,8 +143,14 @@ fn import_pair(
             bytes: &off_bytes,
             original_name: &off_name,
             settings: settings(off_photo, &off_bytes),
+            jpeg: None,
         },
-        on: NewFrame { bytes: &on_bytes, original_name: &on_name, settings: settings(on_photo, &on_bytes) },
+        on: NewFrame {
+            bytes: &on_bytes,
+            original_name: &on_name,
+            settings: settings(on_photo, &on_bytes),
+            jpeg: None,
+        },
         reasons,
         flash: None,
     };

@@ -153,6 +153,11 @@ pub trait Camera: Send {
     /// A live picture (JPEG).
     fn preview(&mut self) -> Result<Vec<u8>, CameraError>;
 
+    /// Ends live view: the mirror comes down, and the camera saves its battery.
+    fn end_preview(&mut self) -> Result<(), CameraError> {
+        Ok(())
+    }
+
     /// Brings a camera back after a call that failed, from the gentlest step to the roughest, and tells the steps
     /// taken in words. An error says what the operator must do.
     fn recover(&mut self) -> Result<Vec<String>, CameraError> {

@@ -82,7 +82,8 @@ impl Room {
     pub(crate) fn rig(&self) -> RigSource {
         let (camera, flash) = (self.clone(), self.clone());
         RigSource {
-            camera: Box::new(move || camera.camera()),
+            camera: Box::new(move |_| camera.camera()),
+            cameras: Box::new(|| Ok(vec![])),
             flash: Box::new(move || Ok(FlashKind::Controller(Box::new(FakeFlash(flash.clone()))))),
         }
     }
@@ -90,7 +91,11 @@ impl Room {
     /// The camera, and a flash of the given other kind.
     pub(crate) fn rig_with(&self, flash: fn() -> FlashKind) -> RigSource {
         let camera = self.clone();
-        RigSource { camera: Box::new(move || camera.camera()), flash: Box::new(move || Ok(flash())) }
+        RigSource {
+            camera: Box::new(move |_| camera.camera()),
+            cameras: Box::new(|| Ok(vec![])),
+            flash: Box::new(move || Ok(flash())),
+        }
     }
 
     /// For a flash that is switched by hand: whether it is on.
