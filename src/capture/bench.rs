@@ -2,7 +2,7 @@
 //! in words at any time.
 
 use super::engine::CameraState;
-use crate::rig::{Camera, CameraError, CameraInfo, Flash, FlashError, LockReport};
+use crate::rig::{Camera, CameraError, CameraInfo, Flash, FlashError, LockReport, LockState};
 use serde::Serialize;
 
 /// What fires the flash.
@@ -112,12 +112,16 @@ impl Bench {
     }
 
     /// Goes through the exposure lock, unless this camera stands locked since it was opened.
-    pub(super) fn lock(&mut self) -> Result<&LockReport, CameraError> {
-        let report = match self.lock.take() {
-            Some(report) => report,
-            None => self.camera()?.lock()?,
-        };
-        Ok(self.lock.insert(report))
+    pub(super) fn lock(&mut self) -> Result<LockReport, CameraError> {
+        if let Some(report) = &self.lock {
+            return Ok(report.clone());
+        }
+        let report = self.camera()?.lock()?;
+        // What is wrong is looked at again next time: the operator mends it at the camera.
+        if report.sentences(LockState::Wrong).is_empty() {
+            self.lock = Some(report.clone());
+        }
+        Ok(report)
     }
 
     /// After a failure nothing is known of the camera's settings any more. The driver itself stays: it knows
@@ -145,7 +149,7 @@ impl Bench {
 
     /// Everything that the camera tells of itself.
     pub(super) fn state(&mut self) -> Result<CameraState, CameraError> {
-        let lock = self.lock()?.clone();
+        let lock = self.lock()?;
         let camera = self.camera()?;
         Ok(CameraState {
             info: camera.info()?,

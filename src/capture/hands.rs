@@ -28,7 +28,7 @@ pub(super) struct Hands<'a> {
 impl Hands<'_> {
     /// Goes through the exposure lock, once an opened camera, and reads the dials.
     pub(super) fn lock(&mut self) -> Result<Settings, CaptureError> {
-        let report = self.camera(|bench| bench.lock().cloned())?;
+        let report = self.camera(|bench| bench.lock())?;
         let wrong = report.sentences(LockState::Wrong);
         if !wrong.is_empty() {
             return Err(CaptureError::NotLocked(wrong.join(" ")));
