@@ -29,6 +29,8 @@ pub enum ReasonCode {
     SettingsChanged,
     /// The room's light fell between the two frames.
     AmbientChanged,
+    /// The camera delivered the same frame twice.
+    Repeated,
     /// A file ends before its data does.
     Truncated,
     /// A file is no raw that can be decoded.

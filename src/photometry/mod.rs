@@ -1,5 +1,6 @@
 //! Pure photometry: what a raw sensor value means, and what of it is the flash's own light.
 
+pub mod apex;
 mod demosaic;
 pub mod inspect;
 mod isolate;

@@ -8,4 +8,5 @@ pub mod pairs;
 pub mod process;
 mod report;
 pub mod scene;
+pub mod stops;
 pub mod views;
