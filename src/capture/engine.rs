@@ -12,10 +12,12 @@ use super::place::{CalibrationShot, CardPlace, PairPlace, Place, PlaceError, nam
 use super::prompt::Prompter;
 use super::run::Run;
 use crate::pair::{Limits, Offered, PairRecord, Settings, Verdict};
+use crate::pipeline::stops::Earlier;
 use crate::progress::Progress;
 use crate::rig::{CameraError, CameraInfo, FlashError, LockReport};
 use crate::session::Session;
 use serde_json::json;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 
 /// Called on each accepted pair before it is announced: the studio's operator walks on, a turntable turns.
@@ -68,6 +70,8 @@ pub struct Engine {
     bench: Mutex<Bench>,
     list_cameras: ListCameras,
     live: Live,
+    /// What the session last shot into (its folder) remembers of its pairs.
+    memory: Mutex<Option<(PathBuf, Earlier)>>,
     devices: Mutex<Devices>,
     prompter: Prompter,
     events: Events,
@@ -82,6 +86,7 @@ impl Engine {
             bench: Mutex::new(Bench::new(source.camera, source.flash)),
             list_cameras: source.cameras,
             live: Live::default(),
+            memory: Mutex::default(),
             devices: Mutex::new(Devices::unknown()),
             prompter: Prompter::new(events.clone()),
             events,
@@ -137,7 +142,13 @@ impl Engine {
         after_pair: Option<&AfterPair>,
         progress: &Progress,
     ) -> Result<PairRecord, CaptureError> {
-        let mut place = PairPlace::new(session).map_err(PlaceError::from)?;
+        let mut memory = lock(&self.memory);
+        let earlier = match memory.take() {
+            Some((path, earlier)) if path == session.path() => earlier,
+            _ => Earlier::load(session, progress)?,
+        };
+        let (_, earlier) = memory.insert((session.path().to_owned(), earlier));
+        let mut place = PairPlace::new(session, earlier).map_err(PlaceError::from)?;
         self.shoot(&mut place, progress)?;
         let record = place.into_record().ok_or(PlaceError::Incomplete)?;
         if let Some(after_pair) = after_pair

@@ -2,6 +2,7 @@
 
 use super::bench::NO_FLASH;
 use super::place::PlaceError;
+use crate::pipeline::stops::EarlierError;
 use crate::progress::Cancelled;
 use crate::rig::{CameraError, FlashError};
 
@@ -62,6 +63,15 @@ impl CaptureError {
             CaptureError::NoThread(_) => "no_thread",
             CaptureError::Place(_) => "session_not_written",
             CaptureError::Cancelled(_) => "cancelled",
+        }
+    }
+}
+
+impl From<EarlierError> for CaptureError {
+    fn from(error: EarlierError) -> Self {
+        match error {
+            EarlierError::Session(error) => CaptureError::Place(error.into()),
+            EarlierError::Cancelled(cancelled) => cancelled.into(),
         }
     }
 }

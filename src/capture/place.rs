@@ -1,6 +1,7 @@
 //! Where a pair of frames goes: into the session as a pair, or beside it as a calibration shot.
 
-use crate::pair::{FlashRecord, FrameRecord, PairRecord, Plan, Reason, Settings};
+use crate::pair::{Expected, FlashRecord, FrameRecord, PairRecord, Plan, Reason, Settings, Stop, Window};
+use crate::pipeline::stops::{Delivery, Earlier};
 use crate::rig::Shot;
 use crate::session::{self, Commit, NewFrame, NewPair, Session, SessionError, store};
 use serde::{Deserialize, Serialize};
@@ -30,6 +31,8 @@ pub(super) struct Shots<'a> {
     pub(super) on: Delivered<'a>,
     pub(super) flash: Option<FlashRecord>,
     pub(super) reasons: Vec<Reason>,
+    /// By which later pairs of the same stop are known.
+    pub(super) stop: Option<Stop>,
 }
 
 /// Why two frames could not be stored.
@@ -59,6 +62,11 @@ pub(super) trait Place {
     fn plan(&self) -> Option<Plan>;
     /// Makes what the camera shows the plan from now on.
     fn adopt(&mut self, plan: Plan) -> Result<(), PlaceError>;
+    /// Where the object is in the frame; everywhere if `None`.
+    fn region(&self) -> Option<Window>;
+    /// What is known beforehand of a pair whose files have the digests `off` and `on` and whose pulse measured
+    /// `energy` counts.
+    fn expected<'a>(&'a self, off: &'a str, on: &'a str, energy: Option<f64>) -> Expected<'a>;
     /// Writes down that two frames are about to be shot.
     fn intend(&mut self) -> Result<(), PlaceError>;
     /// Stores both frames; on the disk when this returns.
@@ -70,13 +78,15 @@ pub(super) trait Place {
 /// The session's next pair.
 pub(super) struct PairPlace<'a> {
     session: &'a Session,
+    earlier: &'a mut Earlier,
     number: u32,
     stored: Option<PairRecord>,
 }
 
 impl<'a> PairPlace<'a> {
-    pub(super) fn new(session: &'a Session) -> Result<Self, SessionError> {
-        Ok(Self { session, number: session.next_pair_number()?, stored: None })
+    /// `earlier` remembers the session's pairs, and this one once it is stored.
+    pub(super) fn new(session: &'a Session, earlier: &'a mut Earlier) -> Result<Self, SessionError> {
+        Ok(Self { session, earlier, number: session.next_pair_number()?, stored: None })
     }
 
     /// The pair, once stored.
@@ -107,6 +117,14 @@ impl Place for PairPlace<'_> {
         Ok(self.session.set_plan(plan)?)
     }
 
+    fn region(&self) -> Option<Window> {
+        self.session.manifest().region
+    }
+
+    fn expected<'b>(&'b self, off: &'b str, on: &'b str, energy: Option<f64>) -> Expected<'b> {
+        self.earlier.expecting(off, on, energy, Delivery::Camera)
+    }
+
     fn intend(&mut self) -> Result<(), PlaceError> {
         note(self.session, "pair_started", json!({ "number": self.number }))
     }
@@ -120,6 +138,10 @@ impl Place for PairPlace<'_> {
             flash: shots.flash,
         })?;
         let (Commit::Stored(record) | Commit::AlreadyThere(record)) = commit;
+        // The pair is safe; a signature that could not be kept is made again when it is needed.
+        if let Err(error) = self.earlier.add(self.session, &record, shots.stop) {
+            tracing::warn!("{error}");
+        }
         self.stored = Some(record);
         Ok(())
     }
@@ -265,6 +287,14 @@ impl Place for CardPlace<'_> {
 
     fn adopt(&mut self, _plan: Plan) -> Result<(), PlaceError> {
         Ok(())
+    }
+
+    fn region(&self) -> Option<Window> {
+        None
+    }
+
+    fn expected<'b>(&'b self, _off: &'b str, _on: &'b str, _energy: Option<f64>) -> Expected<'b> {
+        Expected::default()
     }
 
     fn intend(&mut self) -> Result<(), PlaceError> {

@@ -7,10 +7,11 @@ use super::machine::{Effect, End, Event, Frame, State, step};
 use super::place::{Delivered, Place, PlaceError, Shots};
 use super::prompt::Prompter;
 use crate::codec::raw::{self, Photo, RawError};
-use crate::pair::{FlashRecord, Limits, Plan, Reason, ReasonCode, Settings, Verdict};
+use crate::pair::{FlashRecord, Limits, Plan, Reason, ReasonCode, Settings, Stop, Verdict};
 use crate::pipeline::pairs;
 use crate::progress::{Cancelled, Progress};
 use crate::rig::{FlashShot, Shot};
+use crate::session::store;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -20,10 +21,10 @@ const STEPS: usize = 6;
 
 type Decoded = Result<Photo, RawError>;
 
-/// One frame on its way: the files, and the decoder at work on the raw.
+/// One frame on its way: the files, and the decoder at work on the raw, which gives its BLAKE3 too.
 struct Taken {
     shot: Arc<Shot>,
-    decoding: Option<JoinHandle<Decoded>>,
+    decoding: Option<JoinHandle<(Decoded, String)>>,
 }
 
 /// One pair on its way.
@@ -39,6 +40,7 @@ pub(super) struct Run<'a> {
     settings: [Settings; 2],
     flash: Option<FlashRecord>,
     reasons: Vec<Reason>,
+    stop: Option<Stop>,
     error: Option<CaptureError>,
 }
 
@@ -61,6 +63,7 @@ impl<'a> Run<'a> {
             settings: Default::default(),
             flash: None,
             reasons: Vec::new(),
+            stop: None,
             error: None,
         }
     }
@@ -211,7 +214,7 @@ impl<'a> Run<'a> {
     fn begin_check(&mut self, frame: Frame) -> Result<(), CaptureError> {
         let Some(taken) = self.slot(frame) else { return Ok(()) };
         let shot = taken.shot.clone();
-        let work = move || raw::decode(&shot.raw.bytes, &shot.raw.name);
+        let work = move || (raw::decode(&shot.raw.bytes, &shot.raw.name), store::digest(&shot.raw.bytes));
         let decoding = std::thread::Builder::new().name("frame check".into()).spawn(work);
         taken.decoding = Some(decoding.map_err(CaptureError::NoThread)?);
         Ok(())
@@ -250,20 +253,31 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// The decoder's outcome for one frame.
-    fn decoded(&mut self, frame: Frame) -> Result<Decoded, CaptureError> {
+    /// The decoder's outcome for one frame, and the file's digest.
+    fn decoded(&mut self, frame: Frame) -> Result<(Decoded, String), CaptureError> {
         let taken = self.slot(frame).as_mut().ok_or(PlaceError::Incomplete)?;
         let name = taken.shot.raw.name.clone();
         let decoding = taken.decoding.take().ok_or(PlaceError::Incomplete)?;
         // A decoder that stumbles over a file has found it unreadable.
         Ok(decoding.join().unwrap_or_else(|_| {
-            Err(RawError::Decoder { what: name, message: "the decoder stumbled over it".into() })
+            (
+                Err(RawError::Decoder { what: name, message: "the decoder stumbled over it".into() }),
+                String::new(),
+            )
         }))
     }
 
     fn judge(&mut self) -> Result<Verdict, CaptureError> {
-        let (off, on) = (self.decoded(Frame::Off)?, self.decoded(Frame::On)?);
-        self.reasons.extend(pairs::judge(&off, &on, self.limits));
+        let ((off, off_digest), (on, on_digest)) = (self.decoded(Frame::Off)?, self.decoded(Frame::On)?);
+        let energy = self.flash.as_ref().and_then(|flash| flash.energy_counts);
+        let mut expected = self.place.expected(&off_digest, &on_digest, energy);
+        expected.plan = self.plan.as_ref();
+        if let (Some(window), Ok(photo)) = (self.place.region(), &off) {
+            expected.region = Some(window.sites(photo.mosaic.dn.width(), photo.mosaic.dn.height()));
+        }
+        let judgement = pairs::judge(&off, &on, &expected, self.limits);
+        self.reasons.extend(judgement.reasons);
+        self.stop = judgement.stop;
         self.settings = [off, on].map(|photo| photo.map(|p| p.settings).unwrap_or_default());
         Ok(if self.reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected })
     }
@@ -279,6 +293,7 @@ impl<'a> Run<'a> {
             on: Delivered { shot: &on.shot, settings: on_settings },
             flash: self.flash.take(),
             reasons: std::mem::take(&mut self.reasons),
+            stop: self.stop.take(),
         })?;
         Ok(())
     }
