@@ -13,19 +13,19 @@ use unlit::units::{FNumber, Iso, Seconds};
 
 /// Gives a different blob for each frame, longer than one download chunk, and remembers the exposures.
 #[derive(Default)]
-struct Blobs {
-    frames: AtomicU32,
-    exposures: Mutex<Vec<Exposure>>,
+pub(crate) struct Blobs {
+    pub(crate) frames: AtomicU32,
+    pub(crate) exposures: Mutex<Vec<Exposure>>,
 }
 
-fn blob(number: u32) -> Vec<u8> {
+pub(crate) fn blob(number: u32) -> Vec<u8> {
     (0..1_300_000 + number)
         .map(|i| (i.wrapping_mul(2_654_435_761).wrapping_add(number) >> 13) as u8)
         .collect()
 }
 
 /// A JPEG's markers round nothing: libgphoto2 looks at no more.
-const PREVIEW: &[u8] = &[0xff, 0xd8, 0xff, 0xe0, 1, 2, 3, 4, 0xff, 0xd9];
+pub(crate) const PREVIEW: &[u8] = &[0xff, 0xd8, 0xff, 0xe0, 1, 2, 3, 4, 0xff, 0xd9];
 
 impl View for Blobs {
     fn expose(&self, exposure: &Exposure) -> Vec<u8> {
@@ -38,39 +38,39 @@ impl View for Blobs {
     }
 }
 
-struct Studio {
-    view: Arc<Blobs>,
-    server: CameraServer,
+pub(crate) struct Studio {
+    pub(crate) view: Arc<Blobs>,
+    pub(crate) server: CameraServer,
 }
 
 impl Studio {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let view = Arc::new(Blobs::default());
         Self { server: CameraServer::start(view.clone()).unwrap(), view }
     }
 
-    fn camera(&self) -> HostedCamera {
+    pub(crate) fn camera(&self) -> HostedCamera {
         self.camera_with(Deadlines::default())
     }
 
-    fn camera_with(&self, deadlines: Deadlines) -> HostedCamera {
+    pub(crate) fn camera_with(&self, deadlines: Deadlines) -> HostedCamera {
         open(&self.server.port(), deadlines).unwrap()
     }
 
-    fn frames(&self) -> u32 {
+    pub(crate) fn frames(&self) -> u32 {
         self.view.frames.load(Ordering::SeqCst)
     }
 }
 
-fn launch() -> Launch {
+pub(crate) fn launch() -> Launch {
     Launch::new(program())
 }
 
-fn open(port: &str, deadlines: Deadlines) -> Result<HostedCamera, CameraError> {
+pub(crate) fn open(port: &str, deadlines: Deadlines) -> Result<HostedCamera, CameraError> {
     HostedCamera::open_with(&launch(), Some(port), deadlines, Target::Memory)
 }
 
-fn program() -> &'static Path {
+pub(crate) fn program() -> &'static Path {
     Path::new(env!("CARGO_BIN_EXE_unlit"))
 }
 

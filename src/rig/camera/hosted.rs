@@ -141,7 +141,7 @@ impl HostedCamera {
         self.port.clone_from(&info.port);
         self.host = Some(host);
         self.info = Some(info);
-        (self.wounded, self.frame_owed) = (false, false);
+        self.wounded = false;
     }
 
     /// Ends the host at once: it hangs, or its camera is lost.
@@ -382,11 +382,12 @@ impl Camera for HostedCamera {
                     std::thread::sleep(BUSY_PAUSE);
                 }
                 Err(error) => {
-                    self.frame_owed = self.host.is_none();
+                    self.frame_owed |= self.host.is_none();
                     return Err(error);
                 }
             }
         };
+        self.frame_owed = false;
         self.note_frame(&shot.raw.bytes)?;
         shot.times = ShotTimes { total: began.elapsed(), ..shot.times };
         Ok(shot)

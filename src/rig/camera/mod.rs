@@ -29,17 +29,32 @@ pub fn list() -> Result<Vec<CameraInfo>, CameraError> {
 
 /// [`list`] by hosts started in another way.
 pub fn list_with(launch: &Launch) -> Result<Vec<CameraInfo>, CameraError> {
+    match ask_once(launch, "list cameras", &Request::List)? {
+        Reply::Cameras(cameras) => Ok(cameras),
+        other => Err(out_of_turn(&other)),
+    }
+}
+
+/// Version of libgphoto2 as the hosts use it.
+pub fn library_with(launch: &Launch) -> Result<String, CameraError> {
+    match ask_once(launch, "tell the library's version", &Request::Library)? {
+        Reply::Library(version) => Ok(version),
+        other => Err(out_of_turn(&other)),
+    }
+}
+
+/// Asks a host without a camera, which goes away again.
+fn ask_once(launch: &Launch, operation: &str, request: &Request) -> Result<Reply, CameraError> {
     let deadline = Deadlines::default().open;
     let mut process = launch.start(None)?;
-    match process.ask(&Request::List, deadline) {
-        Ok((Reply::Cameras(cameras), _)) => Ok(cameras),
+    match process.ask(request, deadline) {
         Ok((Reply::Failed { reason, .. }, _)) => {
-            Err(CameraError::Refused { operation: "list cameras".into(), reason })
+            Err(CameraError::Refused { operation: operation.into(), reason })
         }
-        Ok((other, _)) => Err(out_of_turn(&other)),
+        Ok((reply, _)) => Ok(reply),
         Err(AskError::Deadline) => {
             process.kill();
-            Err(CameraError::Deadline { operation: "list cameras".into(), deadline })
+            Err(CameraError::Deadline { operation: operation.into(), deadline })
         }
         Err(AskError::GoneBefore(error) | AskError::Gone(error)) => Err(gone(&error)),
     }

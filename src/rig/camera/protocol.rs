@@ -20,6 +20,8 @@ const LONGEST_PAYLOAD: u64 = 1 << 30;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Request {
+    /// Version of the library.
+    Library,
     /// Cameras that can be found without knowing their port.
     List,
     /// Connect to the camera on the host's port, and get rid of whatever it still holds.
@@ -61,6 +63,8 @@ pub enum Target {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Reply {
+    /// To [`Request::Library`].
+    Library(String),
     /// To [`Request::List`].
     Cameras(Vec<CameraInfo>),
     /// To [`Request::Open`].

@@ -18,6 +18,9 @@ const APERTURE: &[&str] = &["aperture", "f-number"];
 const ISO: &[&str] = &["iso"];
 /// On a Canon, `eosserialnumber` is the number on the body, which EXIF has too.
 const SERIAL: &[&str] = &["eosserialnumber", "serialnumber"];
+/// Stops within which two labels are the same position of a dial: labels are rounded (1/6 s reads 0.1667 or
+/// 0.1666), neighbours are a third of a stop apart.
+const SAME: f64 = 0.02;
 /// What kind of files a release makes.
 const FORMAT: &[&str] = &["imageformat", "imagequality"];
 
@@ -31,6 +34,8 @@ pub(super) struct Body {
     names: HashSet<String>,
     target: Target,
     live: bool,
+    /// The frame of a release that was given up may still come.
+    pub(super) frame_owed: bool,
 }
 
 impl Body {
@@ -47,7 +52,8 @@ impl Body {
         let mut names = HashSet::new();
         // Connecting is lazy; this is the first thing that needs the camera.
         collect_names(&camera.config().wait()?, &mut names)?;
-        let body = Self { context: context.clone(), camera, port: port.into(), names, target, live: false };
+        let (context, port) = (context.clone(), port.into());
+        let body = Self { context, camera, port, names, target, live: false, frame_owed: false };
         body.send_frames_to_target()?;
         Ok(body)
     }
@@ -83,7 +89,7 @@ impl Body {
     }
 
     /// The text of the first of these settings that the camera has and fills.
-    fn text(&self, names: &[&str]) -> Answer<Option<String>> {
+    pub(super) fn text(&self, names: &[&str]) -> Answer<Option<String>> {
         for name in names {
             let text = match self.widget(name)? {
                 Some(Widget::Text(text)) => text.value(),
@@ -166,14 +172,19 @@ impl Body {
             .dial(names)?
             .ok_or_else(|| Failure::refused(format!("it has no {name} that a computer may set")))?;
         let labels: Vec<String> = radio.choices_iter().collect();
-        // Labels are rounded (1/6 s reads 0.1667 or 0.1666), neighbours are a third of a stop apart.
-        let same = |label: &&String| read(label).is_some_and(|value| (value / wanted).log2().abs() < 0.02);
+        let same = |label: &&String| read(label).is_some_and(|value| (value / wanted).log2().abs() < SAME);
         let label = labels.iter().find(same).ok_or_else(|| {
             Failure::refused(format!("it offers no {name} {wanted:.5}, only {}", labels.join(", ")))
         })?;
         if radio.choice() != *label {
             radio.set_choice(label)?;
             self.camera.set_config(&radio).wait()?;
+            let now = self.text(names)?.unwrap_or_default();
+            if read(&now).is_none_or(|value| (value / wanted).log2().abs() >= SAME) {
+                return Err(Failure::refused(format!(
+                    "its {name} stays on {now} when told to go to {label}"
+                )));
+            }
         }
         Ok(())
     }

@@ -13,6 +13,8 @@ use std::time::{Duration, Instant};
 const SILENCE: Duration = Duration::from_millis(200);
 /// How long a camera may take, after it has given its files, until it says that it is ready.
 const READY_AT_MOST: Duration = Duration::from_secs(8);
+/// How long a second frame is looked out for when the frame of an earlier release may still come.
+const OWED_AT_MOST: Duration = Duration::from_millis(1500);
 /// How long the second file of RAW+JPEG may let itself be waited for.
 const SECOND_FILE_AT_MOST: Duration = Duration::from_secs(4);
 
@@ -22,6 +24,8 @@ pub(super) struct Harvest {
     jpeg: Option<ShotFile>,
     /// Files that the release is expected to make.
     expected: usize,
+    /// The frame of an earlier release may come too.
+    frame_owed: bool,
     /// The camera said that it works.
     pub(super) busy: bool,
     /// The camera said that it is done.
@@ -33,11 +37,12 @@ pub(super) struct Harvest {
 }
 
 impl Harvest {
-    pub(super) fn new(expected: usize, now: Instant) -> Self {
+    pub(super) fn new(expected: usize, frame_owed: bool, now: Instant) -> Self {
         Self {
             raw: None,
             jpeg: None,
             expected,
+            frame_owed,
             busy: false,
             done: false,
             missing: 0,
@@ -80,6 +85,9 @@ impl Harvest {
         }
         if !self.finished_but_for_ready() {
             return since(self.last_file) >= SECOND_FILE_AT_MOST;
+        }
+        if self.frame_owed && since(self.last_file) < OWED_AT_MOST {
+            return false;
         }
         self.done
             || (!self.busy && since(self.last_word) >= SILENCE)
@@ -131,7 +139,7 @@ mod tests {
     fn both_files_are_kept_whichever_comes_first() {
         let now = Instant::now();
         for order in [[raw(1), jpeg()], [jpeg(), raw(1)]] {
-            let mut harvest = Harvest::new(2, now);
+            let mut harvest = Harvest::new(2, false, now);
             harvest.done = true;
             for file in order {
                 assert!(!harvest.finished(now));
@@ -146,7 +154,7 @@ mod tests {
     #[test]
     fn a_file_announced_twice_is_one_file_and_two_frames_are_none() {
         let now = Instant::now();
-        let mut harvest = Harvest::new(1, now);
+        let mut harvest = Harvest::new(1, false, now);
         harvest.take(raw(1), now).unwrap();
         harvest.take(raw(1), now).unwrap();
         assert_eq!(harvest.take(raw(2), now).unwrap_err().trouble, Trouble::Untrusted);
@@ -155,7 +163,7 @@ mod tests {
     #[test]
     fn a_camera_that_says_busy_is_waited_for_until_it_says_done() {
         let now = Instant::now();
-        let mut harvest = Harvest::new(1, now);
+        let mut harvest = Harvest::new(1, false, now);
         harvest.take(raw(1), now).unwrap();
         assert!(!harvest.finished(now));
         assert!(harvest.finished(now + SILENCE), "one that never says either is ready when it falls silent");
@@ -166,9 +174,20 @@ mod tests {
     }
 
     #[test]
+    fn while_an_earlier_frame_may_come_the_first_one_is_not_trusted_at_once() {
+        let now = Instant::now();
+        let mut harvest = Harvest::new(1, true, now);
+        harvest.done = true;
+        harvest.take(raw(1), now).unwrap();
+        assert!(!harvest.finished(now));
+        assert!(harvest.finished(now + OWED_AT_MOST));
+        assert_eq!(harvest.take(raw(2), now).unwrap_err().trouble, Trouble::Untrusted);
+    }
+
+    #[test]
     fn a_camera_set_to_jpeg_is_told_to_shoot_raw() {
         let now = Instant::now();
-        let mut harvest = Harvest::new(1, now);
+        let mut harvest = Harvest::new(1, false, now);
         harvest.done = true;
         harvest.take(jpeg(), now).unwrap();
         assert!(!harvest.finished(now), "the raw may still come");

@@ -107,6 +107,11 @@ impl Host {
 
     fn answer(&mut self, request: &Request, link: &mut UnixStream) -> Result<(), Stop> {
         let (reply, payload) = match request {
+            Request::Library => {
+                let version = gphoto2::library_version()
+                    .ok_or_else(|| Failure::refused("libgphoto2 does not tell its version"))?;
+                (Reply::Library(version.to_owned()), Vec::new())
+            }
             Request::List => {
                 let cameras = self.context()?.list_cameras().wait()?;
                 let info = |c: CameraDescriptor| CameraInfo { model: c.model, port: c.port, serial: None };

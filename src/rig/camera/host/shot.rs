@@ -23,7 +23,10 @@ const CHATTER: Duration = Duration::from_secs(3);
 /// How long a frame is waited for that was released for a host which is gone.
 const OWED_AT_MOST: Duration = Duration::from_secs(2);
 /// Assumed while the dial does not tell: the longest exposure on a dial.
-pub(in crate::rig::camera) const UNKNOWN_EXPOSURE: Duration = Duration::from_secs(30);
+const UNKNOWN_EXPOSURE: Duration = Duration::from_secs(30);
+/// Settings that tell why a camera may not release.
+const BATTERY: &[&str] = &["batterylevel"];
+const FOCUS: &[&str] = &["focusmode", "focusmode2"];
 /// libgphoto2's word for Canon's status 1.
 const BUSY_WORD: &str = "Camera Status 1";
 
@@ -31,24 +34,24 @@ impl Body {
     /// Gets rid of whatever the camera still holds for the computer. With `frame_owed`, a frame that a former
     /// host released is waited for a while.
     pub(super) fn clear(&mut self, frame_owed: bool) -> Answer<()> {
-        let until = Instant::now() + if frame_owed { OWED_AT_MOST } else { Duration::ZERO };
-        let mut found = self.drain()?;
-        while found == 0 && Instant::now() < until {
+        let until = Instant::now() + OWED_AT_MOST;
+        self.frame_owed = frame_owed;
+        self.drain()?;
+        while self.frame_owed && Instant::now() < until {
             std::thread::sleep(PAUSE);
-            found = self.drain()?;
+            self.drain()?;
         }
         Ok(())
     }
 
-    /// Takes every event that waits, and with them every frame that nobody waits for any more. Gives their number.
-    fn drain(&mut self) -> Answer<usize> {
+    /// Takes every event that waits, and with them every frame that nobody waits for any more.
+    fn drain(&mut self) -> Answer<()> {
         let until = Instant::now() + CHATTER;
-        let mut stale = 0;
         while Instant::now() < until {
             match self.camera.wait_event(Duration::ZERO).wait() {
                 Ok(CameraEvent::Timeout) => break,
                 Ok(CameraEvent::NewFile(path)) => {
-                    stale += 1;
+                    self.frame_owed = false;
                     tracing::warn!("{} is of an earlier release and is left out", path.name());
                     self.forget(&path)?;
                 }
@@ -57,7 +60,7 @@ impl Body {
                 Err(error) => return Err(error.into()),
             }
         }
-        Ok(stale)
+        Ok(())
     }
 
     /// Makes sure that nothing stale waits and that no live view runs; gives the exposure time on the dial.
@@ -72,13 +75,32 @@ impl Body {
     pub(super) fn release(&mut self, exposure: Option<Duration>, patience: Duration) -> Answer<Shot> {
         let expected = self.files_a_release()?;
         let began = Instant::now();
-        self.camera.trigger_capture().wait()?;
+        self.camera.trigger_capture().wait().map_err(|error| self.why_not(error.into()))?;
         let until = began + exposure.unwrap_or(UNKNOWN_EXPOSURE) + patience;
-        self.bring_in(expected, began, until).map_err(Failure::after_release)
+        let owed = std::mem::take(&mut self.frame_owed);
+        let harvest = Harvest::new(expected, owed, Instant::now());
+        self.bring_in(harvest, began, until).map_err(Failure::after_release)
     }
 
-    fn bring_in(&mut self, expected: usize, began: Instant, until: Instant) -> Answer<Shot> {
-        let mut harvest = Harvest::new(expected, Instant::now());
+    /// Why a camera that answers did not release: the library often says no more than "unspecified".
+    fn why_not(&mut self, failure: Failure) -> Failure {
+        if failure.trouble != Trouble::Lost {
+            return failure;
+        }
+        let (Ok(battery), Ok(focus)) = (self.text(BATTERY), self.text(FOCUS)) else { return failure };
+        let battery = battery.unwrap_or_default();
+        if battery.to_lowercase().starts_with("low") || battery == "0%" {
+            return Failure::new(Trouble::BatteryLow, format!("{}, battery {battery}", failure.reason));
+        }
+        match focus {
+            Some(mode) if !mode.to_lowercase().starts_with('m') => {
+                Failure::new(Trouble::NoFocus, format!("{}, focus mode {mode}", failure.reason))
+            }
+            _ => Failure::new(Trouble::Refused, failure.reason),
+        }
+    }
+
+    fn bring_in(&mut self, mut harvest: Harvest, began: Instant, until: Instant) -> Answer<Shot> {
         let mut times = ShotTimes::default();
         let mut last_byte = began;
         loop {
