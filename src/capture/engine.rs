@@ -40,9 +40,7 @@ const ATTEMPTS: u32 = 3;
 /// Whether bringing the device back and shooting again may help; what only the operator can mend is told at once.
 fn worth_another_try(error: &CaptureError) -> bool {
     match error {
-        CaptureError::Camera(error) => {
-            matches!(error, CameraError::Busy(_) | CameraError::Deadline { .. } | CameraError::Host(_))
-        }
+        CaptureError::Camera(error) => error.may_pass(),
         CaptureError::Flash(error) => matches!(error, FlashError::Silent { .. } | FlashError::Lost { .. }),
         _ => false,
     }

@@ -46,12 +46,7 @@ impl CaptureError {
     /// Stable name for scripts.
     pub fn code(&self) -> &'static str {
         match self {
-            CaptureError::Camera(CameraError::NotFound { .. }) => "camera_not_found",
-            CaptureError::Camera(CameraError::Claimed { .. }) => "camera_claimed",
-            CaptureError::Camera(CameraError::Busy(_)) => "camera_busy",
-            CaptureError::Camera(CameraError::Deadline { .. }) => "camera_deadline",
-            CaptureError::Camera(CameraError::Refused { .. }) => "camera_refused",
-            CaptureError::Camera(CameraError::Host(_)) => "camera_host_failed",
+            CaptureError::Camera(error) => error.code(),
             CaptureError::Flash(FlashError::Open { .. }) => "flash_not_opened",
             CaptureError::Flash(FlashError::Silent { .. }) => "flash_silent",
             CaptureError::Flash(FlashError::Refused { .. }) => "flash_refused",

@@ -5,6 +5,7 @@
 mod api;
 mod birdbath;
 mod camera;
+mod camera_faults;
 mod capture;
 mod evaluate;
 mod fake_rig;

@@ -5,8 +5,11 @@
 
 use super::datasets::{self, u32s};
 use super::dials;
+use super::fault::{Fault, Late};
 use crate::pair::Exposure;
 use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Instant;
 
 /// Property codes (Canon's, as in libgphoto2's ptp.h).
 pub(super) mod prop {
@@ -34,6 +37,8 @@ pub(super) mod prop {
 
 /// Frames that the body's memory takes.
 const SHOTS_LEFT: u32 = 99;
+/// Battery power that shows as "Low".
+const BATTERY_LOW: u32 = 0;
 /// `EVF_OUTPUT` bit that sends the viewfinder to the computer.
 const EVF_TO_COMPUTER: u32 = 2;
 
@@ -56,10 +61,45 @@ enum Value {
 /// ImageFormat for RAW alone: one image of (16, type RAW, size L, compression RAW).
 const RAW_ONLY: [u32; 5] = [1, 0x10, 6, 0, 4];
 
-/// A frame in the body's memory.
-pub(super) struct Frame {
-    /// The whole file.
-    pub(super) bytes: Vec<u8>,
+/// A file in the body's memory.
+struct File {
+    bytes: Arc<[u8]>,
+    /// Size that it is announced with.
+    announced: usize,
+    /// The next download of its end lacks so many bytes.
+    cut: usize,
+}
+
+impl File {
+    fn new(bytes: Arc<[u8]>, fault: Option<Fault>) -> Self {
+        let (length, mut file) = (bytes.len(), Self { announced: bytes.len(), bytes, cut: 0 });
+        let without = |missing: u32| length.saturating_sub(missing as usize);
+        match fault {
+            Some(Fault::CutObject { missing }) => file.bytes = file.bytes[..without(missing)].into(),
+            Some(Fault::ShortFile { missing }) => {
+                file.bytes = file.bytes[..without(missing)].into();
+                file.announced = file.bytes.len();
+            }
+            Some(Fault::CutDownload { missing }) => file.cut = (missing as usize).min(length),
+            _ => {}
+        }
+        file
+    }
+}
+
+/// When a late frame is due.
+enum Due {
+    /// The client that is awaited, counted from the first.
+    Client(u64),
+    /// The next release; whether it was pressed.
+    Release(bool),
+    At(Instant),
+}
+
+/// A frame that is not announced yet.
+struct LateFrame {
+    file: File,
+    due: Due,
 }
 
 /// Why a property was not set.
@@ -74,13 +114,22 @@ pub(super) enum SetError {
 /// The body.
 pub(super) struct Body {
     properties: BTreeMap<u32, Value>,
-    frames: BTreeMap<u32, Frame>,
+    files: BTreeMap<u32, File>,
+    late: Vec<LateFrame>,
+    /// The bytes of the frame before.
+    last: Option<Arc<[u8]>>,
     events: Vec<u8>,
     next_object: u32,
-    /// A frame is being exposed.
-    pub(super) exposing: bool,
+    /// Clients that have connected since the start.
+    clients: u64,
+    /// A frame is being exposed, or its shot was never ended.
+    exposing: bool,
+    /// Busy until then, after the frame was announced.
+    busy_until: Option<Instant>,
     /// The body says that it has no room for frames.
-    pub(super) full: bool,
+    full: bool,
+    /// The body says that its battery is low.
+    low: bool,
 }
 
 impl Body {
@@ -114,11 +163,16 @@ impl Body {
         ]);
         Self {
             properties,
-            frames: BTreeMap::new(),
+            files: BTreeMap::new(),
+            late: Vec::new(),
+            last: None,
             events: Vec::new(),
             next_object: 1,
+            clients: 0,
             exposing: false,
+            busy_until: None,
             full: false,
+            low: false,
         }
     }
 
@@ -130,14 +184,28 @@ impl Body {
     fn number(&self, property: u32) -> u32 {
         match self.properties.get(&property) {
             Some(Value::Number(..)) if property == prop::SHOTS_LEFT && self.full => 0,
+            Some(Value::Number(..)) if property == prop::BATTERY && self.low => BATTERY_LOW,
             Some(Value::Number(value, _)) => *value,
             _ => 0,
         }
     }
 
-    /// Forgets a former client: frames nobody fetched, events nobody read, live view, where frames went.
-    pub(super) fn reset_client(&mut self) {
-        self.frames.clear();
+    /// What the body shows of its faults.
+    pub(super) fn show(&mut self, full: bool, low: bool) {
+        let changed = self.low != low;
+        (self.full, self.low) = (full, low);
+        if changed {
+            self.announce(prop::BATTERY);
+        }
+    }
+
+    /// A new client: the former one is forgotten, with frames nobody fetched, events nobody read, live view, and
+    /// where frames went. Frames that are still to be announced stay.
+    pub(super) fn new_client(&mut self) {
+        self.clients += 1;
+        self.files.clear();
+        self.exposing = false;
+        self.busy_until = None;
         for (property, value) in [(prop::TARGET, TARGET_CARD), (prop::EVF_OUTPUT, 0)] {
             if let Some(Value::Number(now, _)) = self.properties.get_mut(&property) {
                 *now = value;
@@ -158,7 +226,7 @@ impl Body {
             };
             self.events.extend(list);
         }
-        self.events.extend(datasets::status(self.exposing));
+        self.events.extend(datasets::status(self.exposing || self.busy_until.is_some()));
     }
 
     /// Queues one property's value; an unknown one is passed over, as the real body does.
@@ -191,9 +259,29 @@ impl Body {
 
     /// The events since the last call, ended as the library needs it.
     pub(super) fn take_events(&mut self) -> Vec<u8> {
+        self.announce_what_is_due();
+        if self.busy_until.is_some_and(|until| until <= Instant::now()) {
+            self.finish_exposure();
+        }
         let mut events = std::mem::take(&mut self.events);
         events.extend(datasets::terminator());
         events
+    }
+
+    /// Late frames whose time has come.
+    fn announce_what_is_due(&mut self) {
+        let (now, clients) = (Instant::now(), self.clients);
+        let due = |late: &mut LateFrame| match late.due {
+            Due::Client(number) => number <= clients,
+            Due::Release(pressed) => pressed,
+            Due::At(time) => time <= now,
+        };
+        for late in self.late.extract_if(.., due).collect::<Vec<_>>() {
+            self.announce_file(late.file, false);
+            if matches!(late.due, Due::At(_)) {
+                self.finish_exposure();
+            }
+        }
     }
 
     /// Whether the viewfinder goes to the computer.
@@ -215,37 +303,100 @@ impl Body {
         })
     }
 
-    /// The shutter opens.
-    pub(super) fn begin_exposure(&mut self) {
-        self.exposing = true;
-        self.events.extend(datasets::status(true));
+    /// Whether a release would be refused now.
+    pub(super) fn busy(&mut self) -> bool {
+        self.exposing || self.busy_until.is_some_and(|until| until > Instant::now())
     }
 
-    /// The frame is read out: it waits for the computer. The body says that it is done only after it has
-    /// offered the frame, else the library would take "done" for the frame before.
-    pub(super) fn end_exposure(&mut self, bytes: Vec<u8>) {
+    /// Whether a frame was exposed before.
+    pub(super) fn has_last_frame(&self) -> bool {
+        self.last.is_some()
+    }
+
+    /// The shutter opens.
+    pub(super) fn begin_exposure(&mut self) {
+        self.busy_until = None;
+        self.exposing = true;
+        self.events.extend(datasets::status(true));
+        for late in &mut self.late {
+            if let Due::Release(pressed) = &mut late.due {
+                *pressed = true;
+            }
+        }
+        self.announce_what_is_due();
+    }
+
+    /// The frame is read out: it waits for the computer, as `fault` lets it. The body says that it is done only
+    /// after it has offered the frame, else the library would take "done" for the frame before.
+    pub(super) fn end_exposure(&mut self, bytes: Vec<u8>, fault: Option<Fault>) {
+        let bytes: Arc<[u8]> = bytes.into();
+        let shown = match (fault, &self.last) {
+            (Some(Fault::RepeatedFrame), Some(last)) => Arc::clone(last),
+            _ => Arc::clone(&bytes),
+        };
+        self.last = Some(bytes);
+        let file = File::new(shown, fault);
+        match fault {
+            // Nothing is said of it, so the body stays busy for this client.
+            Some(Fault::NeverAnnounced) => return,
+            Some(Fault::LateObject(late)) => {
+                let due = match late {
+                    Late::NextClient => Due::Client(self.clients + 1),
+                    Late::NextRelease => Due::Release(false),
+                    Late::After(time) => Due::At(Instant::now() + time),
+                };
+                // Busy until it is announced, unless it waits for the next release.
+                self.exposing = !matches!(due, Due::Release(_));
+                self.late.push(LateFrame { file, due });
+                return;
+            }
+            _ => {}
+        }
+        self.announce_file(file, fault == Some(Fault::DoubledObject));
+        match fault {
+            Some(Fault::SlowReady(time)) => {
+                self.exposing = false;
+                self.busy_until = Some(Instant::now() + time);
+            }
+            _ => self.finish_exposure(),
+        }
+    }
+
+    fn announce_file(&mut self, file: File, twice: bool) {
         let number = self.next_object;
         self.next_object += 1;
         let name = format!("IMG_{:04}.CR2", (number - 1) % 9999 + 1);
-        self.events.extend(datasets::transfer_requested(number, bytes.len() as u32, &name));
-        self.frames.insert(number, Frame { bytes });
-        self.finish_exposure();
+        let record = datasets::transfer_requested(number, file.announced as u32, &name);
+        self.events.extend(record.repeat(if twice { 2 } else { 1 }));
+        self.files.insert(number, file);
     }
 
     /// The body is idle again.
     pub(super) fn finish_exposure(&mut self) {
         self.exposing = false;
+        self.busy_until = None;
         self.events.extend(datasets::status(false));
     }
 
-    /// A waiting frame.
-    pub(super) fn frame(&self, object: u32) -> Option<&Frame> {
-        self.frames.get(&object)
+    /// At most `length` bytes of a waiting file, from `from` on.
+    pub(super) fn part(&mut self, object: u32, from: u32, length: u32) -> Option<Vec<u8>> {
+        let file = self.files.get_mut(&object)?;
+        let from = (from as usize).min(file.bytes.len());
+        let mut to = from.saturating_add(length as usize).min(file.bytes.len());
+        if to == file.bytes.len() {
+            to = to.saturating_sub(std::mem::take(&mut file.cut)).max(from);
+        }
+        Some(file.bytes[from..to].to_vec())
     }
 
-    /// The computer has the frame; its memory is free again.
+    /// The computer has the file; its memory is free again.
     pub(super) fn forget(&mut self, object: u32) -> bool {
-        self.frames.remove(&object).is_some()
+        self.files.remove(&object).is_some()
+    }
+
+    /// Files in memory, announced or not.
+    pub(super) fn waiting(&self) -> usize {
+        self.files.len() + self.late.len()
     }
 }
 
@@ -279,10 +430,35 @@ mod tests {
         let mut body = Body::new();
         body.begin_exposure();
         body.take_events();
-        body.end_exposure(vec![7; 10]);
+        body.end_exposure(vec![7; 10], None);
         let events = body.take_events();
         assert_eq!(events[4..8], 0xc186_u32.to_le_bytes());
-        assert_eq!(body.frame(1).unwrap().bytes, [7; 10]);
+        assert_eq!(body.part(1, 0, 99).unwrap(), [7; 10]);
         assert!(body.forget(1) && !body.forget(1));
+    }
+
+    #[test]
+    fn a_cut_download_is_whole_the_second_time() {
+        let mut body = Body::new();
+        body.begin_exposure();
+        body.end_exposure((0..10).collect(), Some(Fault::CutDownload { missing: 3 }));
+        assert_eq!(body.part(1, 0, 5).unwrap(), [0, 1, 2, 3, 4]);
+        assert_eq!(body.part(1, 5, 5).unwrap(), [5, 6]);
+        assert_eq!(body.part(1, 5, 5).unwrap(), [5, 6, 7, 8, 9]);
+    }
+
+    #[test]
+    fn a_late_frame_waits_for_the_next_client() {
+        let mut body = Body::new();
+        body.new_client();
+        body.begin_exposure();
+        body.end_exposure(vec![1], Some(Fault::LateObject(Late::NextClient)));
+        assert!(body.busy());
+        body.take_events();
+        assert_eq!((body.waiting(), body.part(1, 0, 1)), (1, None));
+        body.new_client();
+        assert!(!body.busy());
+        body.take_events();
+        assert_eq!(body.part(1, 0, 1).unwrap(), [1]);
     }
 }
