@@ -152,7 +152,7 @@ pub fn watch(on_change: impl FnMut(&[UsbCamera]) + Send + 'static) -> std::io::R
     watch_by(
         move |over| {
             let bell = Arc::new(AtomicBool::new(false));
-            let registered = rusb::has_hotplug()
+            let registered: Option<rusb::Registration<Context>> = rusb::has_hotplug()
                 .then(|| HotplugBuilder::new().register(&context, Box::new(Bell(bell.clone()))).ok())
                 .flatten();
             move || match &registered {

@@ -18,3 +18,4 @@ mod samples;
 mod scene_import;
 mod session;
 mod studio_world;
+mod wall;

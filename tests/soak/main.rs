@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 use unlit::capture::{CaptureError, Engine, Events, FlashKind, RigSource};
 use unlit::pair::{Dial, Exposure, Limits, Offered, PairRecord, Settings, Verdict};
 use unlit::progress::Progress;
-use unlit::rig::camera::{Deadlines, HostedCamera, Launch};
+use unlit::rig::camera::{Deadlines, HostedCamera, Launch, Target};
 use unlit::rig::flash::SerialFlash;
 use unlit::rig::{Camera, CameraError, CameraInfo, LockReport, Shot};
 use unlit::session::{Session, store};
@@ -146,7 +146,10 @@ fn children() -> usize {
         // The name in parentheses may hold anything; state and parent follow the last of them.
         stat.rsplit(')').next()?.split_whitespace().nth(1).map(str::to_owned)
     };
-    std::fs::read_dir("/proc").unwrap().filter(|e| parent(&e.as_ref().unwrap().path()).as_ref() == Some(&own)).count()
+    std::fs::read_dir("/proc")
+        .unwrap()
+        .filter(|e| parent(&e.as_ref().unwrap().path()).as_ref() == Some(&own))
+        .count()
 }
 
 /// Every acknowledged pair is there, once, whole, and made of one dark and one lit exposure that followed it.
@@ -189,14 +192,18 @@ fn pairs_in_a_row_with_a_fault_every_20th_operation_are_all_there_and_nothing_gr
     let server = Arc::new(CameraServer::start(view).unwrap());
     let calls = Arc::new(AtomicU64::new(0));
     let random = Arc::new(Mutex::new(ChaCha8Rng::seed_from_u64(seed)));
-    let deadlines =
-        Deadlines { open: Duration::from_secs(10), shot: Duration::from_secs(2), other: Duration::from_secs(2) };
+    let deadlines = Deadlines {
+        open: Duration::from_secs(10),
+        shot: Duration::from_secs(2),
+        other: Duration::from_secs(2),
+    };
     let rig = RigSource {
         camera: {
             let (server, calls, random) = (server.clone(), calls.clone(), random.clone());
             Box::new(move |_| {
-                let launch = Launch::of(Path::new(env!("CARGO_BIN_EXE_unlit")));
-                let camera = HostedCamera::open_with(launch, Some(&server.port()), deadlines)?;
+                let launch = Launch::new(env!("CARGO_BIN_EXE_unlit"));
+                let camera =
+                    HostedCamera::open_with(&launch, Some(&server.port()), deadlines, Target::default())?;
                 Ok(Box::new(Troubled {
                     camera,
                     server: server.clone(),
@@ -240,7 +247,11 @@ fn pairs_in_a_row_with_a_fault_every_20th_operation_are_all_there_and_nothing_gr
     let (after_kb, after) = (resident_kb(), children());
     let verdicts = check_pairs(&session, &acknowledged, &taken);
     let struck = server.struck();
-    println!("{} operations, {} faults struck, failures told {failures:?}", calls.load(Ordering::SeqCst), struck.len());
+    println!(
+        "{} operations, {} faults struck, failures told {failures:?}",
+        calls.load(Ordering::SeqCst),
+        struck.len()
+    );
     println!(
         "{} pairs accepted, {} rejected; longest pair {longest:.1?}; resident {before_kb} kB, then {after_kb} kB; \
          child processes {before}, then {after}; frames left in the camera {}",
@@ -248,7 +259,10 @@ fn pairs_in_a_row_with_a_fault_every_20th_operation_are_all_there_and_nothing_gr
         verdicts.get(&true).unwrap_or(&0),
         server.frames_waiting(),
     );
-    assert!(struck.len() as u64 >= calls.load(Ordering::SeqCst) / EVERY / 2, "faults did not strike: {struck:?}");
+    assert!(
+        struck.len() as u64 >= calls.load(Ordering::SeqCst) / EVERY / 2,
+        "faults did not strike: {struck:?}"
+    );
     assert!(after_kb as f64 <= 1.1 * before_kb as f64, "memory grew from {before_kb} to {after_kb} kB");
     assert_eq!(before, after, "child processes");
 }
