@@ -60,7 +60,8 @@ impl SaturationTable {
     /// Saturation of a body at an ISO: its own entry, else the body's for any ISO.
     pub fn find(&self, model: &str, iso: Option<Iso>) -> Option<&Entry> {
         let of_body = || self.entries.iter().filter(|entry| same_model(&entry.model, model));
-        let at = |entry: &&Entry| iso.is_some_and(|iso| entry.isos.iter().any(|e| (e / iso.0 - 1.0).abs() < 0.01));
+        let at =
+            |entry: &&Entry| iso.is_some_and(|iso| entry.isos.iter().any(|e| (e / iso.0 - 1.0).abs() < 0.01));
         of_body().find(at).or_else(|| of_body().find(|entry| entry.isos.is_empty()))
     }
 
@@ -279,13 +280,18 @@ mod tests {
     #[test]
     fn a_frame_that_is_not_blown_is_refused_in_words() {
         // A ramp that ends below saturation, an even grey card, a dark frame.
-        let below = Mosaic { dn: ramp(0.3, [[60_000.0; 2]; 2]).dn.map(|v| (*v).min(20_000) / 2), ..ramp(0.0, [[1e4; 2]; 2]) };
+        let below = Mosaic {
+            dn: ramp(0.3, [[60_000.0; 2]; 2]).dn.map(|v| (*v).min(20_000) / 2),
+            ..ramp(0.0, [[1e4; 2]; 2])
+        };
         assert!(measure(&below).is_ok(), "cut at 10000, it is a spike");
         let ramp = ramp(0.0, [[14_733.0; 2]; 2]);
         assert!(matches!(measure(&ramp), Err(NotBlown::NoSpike { .. })), "{:?}", measure(&ramp));
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(3);
         let mut grey = |mean: f64, sd: f64| {
-            let dn = Image::from_fn(600, 200, |_, _| Normal::new(mean, sd).unwrap().sample(&mut random).round() as u16);
+            let dn = Image::from_fn(600, 200, |_, _| {
+                Normal::new(mean, sd).unwrap().sample(&mut random).round() as u16
+            });
             Mosaic { dn, ..frame(LevelSource::DecoderTable) }
         };
         let error = measure(&grey(9000.0, 60.0)).unwrap_err();
