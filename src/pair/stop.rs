@@ -17,6 +17,8 @@ const GRID: [usize; 2] = [96, 64];
 const SIGMAS: f32 = 5.0;
 /// Share of the mean level below which a grid cell's noise no longer falls: read noise takes over.
 const DARK: f32 = 0.05;
+/// Share of its own light that a grid cell's noise may blur at most for it to tell anything.
+const BLUR: f32 = 0.25;
 /// Least share of the grid bright enough to tell a stop by.
 const TELLING: f64 = 0.1;
 /// Share of the best-lit hundredth's flash light from which on a grid cell counts as lit.
@@ -78,7 +80,7 @@ impl Stop {
             flash_unit,
             gain,
         };
-        let telling = (0..stop.ambient.len()).filter(|&i| stop.tells(i, &stop, 0.04)).count();
+        let telling = (0..stop.ambient.len()).filter(|&i| stop.tells(i, &stop)).count();
         (telling as f64 >= TELLING * stop.ambient.len() as f64).then_some(stop)
     }
 
@@ -91,14 +93,14 @@ impl Stop {
         self.noise.hypot(other.noise) * level.max(DARK).sqrt()
     }
 
-    /// Whether a grid cell is bright enough for a difference of `tolerance` to stand out of its noise.
-    fn tells(&self, i: usize, other: &Stop, tolerance: f32) -> bool {
+    /// Whether a grid cell is bright enough to tell one view from another.
+    fn tells(&self, i: usize, other: &Stop) -> bool {
         let level = self.room(i).max(other.room(i));
-        tolerance * level > SIGMAS * self.noise_with(other, level)
+        BLUR * level > SIGMAS * self.noise_with(other, level)
     }
 
-    /// Share of the telling grid cells whose room light differs by more than `tolerance`, its level divided out;
-    /// `None` where the two cannot be compared.
+    /// Share of the telling grid cells whose room light differs by more than its noise and `tolerance` (a share of
+    /// it), its level divided out; `None` where the two cannot be compared.
     fn difference(&self, other: &Stop, tolerance: f32) -> Option<f64> {
         let whole = |s: &Stop| {
             let cells = s.grid[0].checked_mul(s.grid[1]);
@@ -107,14 +109,15 @@ impl Stop {
         if (self.size, self.grid) != (other.size, other.grid) || !whole(self) || !whole(other) {
             return None;
         }
-        let telling = || (0..self.ambient.len()).filter(|&i| self.tells(i, other, tolerance));
+        let telling = || (0..self.ambient.len()).filter(|&i| self.tells(i, other));
         let count = telling().count();
         if (count as f64) < TELLING * self.ambient.len() as f64 {
             return None;
         }
         let differs = |&i: &usize| {
             let (a, b) = (self.room(i), other.room(i));
-            (a - b).abs() > tolerance * a.max(b)
+            let level = a.max(b);
+            (a - b).abs() > (tolerance * level).max(SIGMAS * self.noise_with(other, level))
         };
         Some(telling().filter(differs).count() as f64 / count as f64)
     }

@@ -6,6 +6,7 @@ pub mod inspect;
 mod isolate;
 mod mosaic;
 mod noise;
+pub mod saturation;
 
 pub use demosaic::{Known, demosaic};
 pub use isolate::{IsolateError, KnownMosaic, isolate, isolate_dark};

@@ -7,6 +7,8 @@
 
 use crate::codec::{exif::settings as settings_of, raw};
 use crate::pair::{self, Expected, FrameView, Judgement, Limits, PairRecord, Settings};
+use crate::photometry::saturation::SaturationTable;
+use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::stops::{Delivery, Earlier, EarlierError};
 use crate::progress::{Cancelled, Progress};
 use crate::session::{Commit, NewFrame, NewPair, Session, SessionError, store};
@@ -73,6 +75,9 @@ pub enum ImportError {
         /// What is wrong.
         source: serde_json::Error,
     },
+    /// The session's saturation table cannot be read.
+    #[error(transparent)]
+    Saturation(#[from] SaturationError),
     /// The session refused.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -120,12 +125,13 @@ pub fn import(
     if matched.is_empty() {
         return Err(ImportError::NothingMatches { off: off_dir.to_owned(), on: on_dir.to_owned() });
     }
+    let measured = saturation::load(session)?;
     let mut earlier = Earlier::load(session, progress)?;
     let total = matched.len();
     for (done, (stem, off, on)) in matched.into_iter().enumerate() {
         progress.check()?;
         progress.report("importing pairs", done, total);
-        let imported = import_pair(session, &mut earlier, &stem, [&off, &on], limits)?;
+        let imported = import_pair(session, (&measured, &mut earlier), &stem, [&off, &on], limits)?;
         each(&imported);
         summary.imported.push(imported);
     }
@@ -135,14 +141,15 @@ pub fn import(
 
 fn import_pair(
     session: &Session,
-    earlier: &mut Earlier,
+    (measured, earlier): (&SaturationTable, &mut Earlier),
     stem: &str,
     [off, on]: [&Path; 2],
     limits: &Limits,
 ) -> Result<Imported, ImportError> {
     let (off_bytes, on_bytes) = (std::fs::read(off).map_err(io(off))?, std::fs::read(on).map_err(io(on))?);
-    let read =
-        |bytes: &[u8], path: &Path| (raw::decode(bytes, &path.display().to_string()), store::digest(bytes));
+    let read = |bytes: &[u8], path: &Path| {
+        (saturation::decode(bytes, &path.display().to_string(), measured), store::digest(bytes))
+    };
     let ((off_photo, off_digest), (on_photo, on_digest)) =
         rayon::join(|| read(&off_bytes, off), || read(&on_bytes, on));
     let expected = earlier.expecting(&off_digest, &on_digest, None, Delivery::Files);

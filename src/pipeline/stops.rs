@@ -169,6 +169,7 @@ fn write(session: &Session, record: &PairRecord, stop: &Option<Stop>) -> Result<
 
 /// The signature out of a pair's originals.
 fn remade(session: &Session, record: &PairRecord) -> Option<Stop> {
+    // Saturation matters to nothing in a signature.
     let read = |name: &str| raw::read(&session.pair_dir(record.number).join(name));
     let (off, on) = rayon::join(|| read(&record.off.file), || read(&record.on.file));
     match (off, on) {

@@ -281,7 +281,7 @@ fn inspect_tells_true_sensor_values_as_json() {
 fn inspect_of_every_sample_gives_values_or_says_what_to_do() {
     let home = tempfile::tempdir().unwrap();
     for (name, expected) in [
-        ("small_5DS.cr2", Ok("saturation    14466.00 DN, from the decoder's table")),
+        ("small_5DS.cr2", Ok("saturation    14733.00 DN, from published measurements of this body")),
         ("dng16_as5DS.dng", Ok("the frame's masked pixels")),
         ("dng16_perchblack.dng", Ok("red histogram of the region: 100 bins")),
         ("dng14_tiffcrate.dng", Ok("1056 x 736 pixels, filters RG/GB")),
@@ -305,6 +305,41 @@ fn inspect_of_every_sample_gives_values_or_says_what_to_do() {
             }
         }
     }
+}
+
+#[test]
+fn a_session_measures_where_its_sensor_clips_and_judges_by_it() {
+    let home = tempfile::tempdir().unwrap();
+    let session = home.path().join("bath").display().to_string();
+    assert!(unlit(&["new", &session], home.path()).status.success());
+    let blown = birdbath("calibration/white/d0500_1.dng").display().to_string();
+    let dark = birdbath("calibration/dark/0.dng").display().to_string();
+    let lit = birdbath("bad/good_on.dng").display().to_string();
+    for unfit in [&dark, &lit] {
+        let out = unlit(&["calibrate", "saturation", &session, unfit], home.path());
+        assert_eq!(out.status.code(), Some(1), "{unfit}: {}", text(&out.stdout));
+        assert!(text(&out.stderr).contains("sites are not blown"), "{}", text(&out.stderr));
+    }
+    let out = unlit(&["calibrate", "saturation", &session, &blown], home.path());
+    assert!(out.status.success(), "{}{}", text(&out.stdout), text(&out.stderr));
+    let table = pipeline_saturation(&session);
+    assert_eq!(table.entries.len(), 1);
+    // The studio's sensor clips at 15380 and the file says so.
+    for level in table.entries[0].saturation.concat() {
+        assert!((15_370.0..=15_380.0).contains(&level), "{level}");
+    }
+    let told = unlit(&["inspect", &lit, "--session", &session], home.path());
+    assert!(text(&told.stdout).contains("from calibration shots"), "{}", text(&told.stdout));
+    let told = unlit(&["inspect", &lit], home.path());
+    assert!(
+        text(&told.stdout).contains("saturation    15380.00 DN, from the file's tag"),
+        "{}",
+        text(&told.stdout)
+    );
+}
+
+fn pipeline_saturation(session: &str) -> unlit::photometry::saturation::SaturationTable {
+    unlit::pipeline::saturation::load(&Session::open_shared(Path::new(session)).unwrap()).unwrap()
 }
 
 #[test]
