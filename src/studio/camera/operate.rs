@@ -15,7 +15,11 @@ const FULL_PRESS: u32 = 2;
 /// Carries a request out; `sent` is the client's data phase.
 pub(super) fn operate(request: &Request, sent: &[u8], device: &Arc<Device>) -> io::Result<Outcome> {
     let mut body = device.body()?;
-    body.show(device.faults().has(Fault::NoRoom), device.faults().has(Fault::LowBattery));
+    let [full, low] = {
+        let faults = device.faults();
+        [Fault::NoRoom, Fault::LowBattery].map(|fault| faults.has(fault))
+    };
+    body.show(full, low);
     Ok(Outcome::Answer(match request.operation {
         op::GET_DEVICE_INFO => Answer::data(datasets::device_info()),
         op::EOS_GET_DEVICE_INFO => Answer::data(datasets::eos_device_info(&body.properties())),
