@@ -3,7 +3,7 @@
 //! It takes a [`View`] (what stands before the lens) and gives a port name for the real driver
 //! (`ptpip:127.0.0.1:COMMANDS:EVENTS`). Packets are those of CIPA DC-005 (`ptpip`), operations those that
 //! libgphoto2's ptp2 driver was seen to use with an EOS (`operate`, `datasets`); the body is in M,
-//! manual focus, RAW alone (`body`, `dials`).
+//! manual focus, RAW alone unless [`BodyOptions`] say otherwise (`body`, `properties`, `dials`, `objects`).
 //!
 //! The object is announced in Canon's format b103, so libgphoto2 names it `capt0000.cr2`, whatever name the
 //! body gave; the bytes are those that [`View::expose`] returned, unchanged, and say themselves that they
@@ -14,15 +14,18 @@ mod datasets;
 mod device;
 mod dials;
 mod fault;
+mod objects;
 mod operate;
+mod options;
 mod plug;
+mod properties;
 mod ptpip;
 mod request;
 
 pub use fault::{Count, Fault, Late};
+pub use options::{BodyOptions, Drive, Files, Focus, Mode};
 
 use crate::studio::View;
-use body::Body;
 use device::Device;
 use plug::Plug;
 use std::io;
@@ -38,7 +41,12 @@ pub struct CameraServer {
 impl CameraServer {
     /// Binds two free loopback ports and serves a body that looks at `view`: 1/125 s, f/11, ISO 100.
     pub fn start(view: Arc<dyn View>) -> io::Result<Self> {
-        let server = Self { device: Device::new(view, Body::new()), port: Mutex::default() };
+        Self::start_with(view, &BodyOptions::default())
+    }
+
+    /// The same with a body that stands otherwise.
+    pub fn start_with(view: Arc<dyn View>, options: &BodyOptions) -> io::Result<Self> {
+        let server = Self { device: Device::new(view, options), port: Mutex::default() };
         server.replug()?;
         Ok(server)
     }
@@ -87,6 +95,25 @@ impl CameraServer {
     /// Frames in the body's memory that nobody has taken, announced or not.
     pub fn frames_waiting(&self) -> usize {
         self.device.body().map_or(0, |body| body.waiting())
+    }
+
+    /// Files on the card.
+    pub fn files_on_card(&self) -> usize {
+        self.device.body().map_or(0, |mut body| body.objects().on_card())
+    }
+
+    /// Turns the mode dial, as only the photographer can.
+    pub fn turn_mode_dial(&self, mode: Mode) {
+        if let Ok(mut body) = self.device.body() {
+            body.turn_mode_dial(mode);
+        }
+    }
+
+    /// Moves the focus switch on the lens, as only the photographer can.
+    pub fn switch_focus(&self, focus: Focus) {
+        if let Ok(mut body) = self.device.body() {
+            body.switch_focus(focus);
+        }
     }
 
     /// The faults that have struck, in order.
