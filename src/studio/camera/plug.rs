@@ -1,9 +1,11 @@
 //! How clients reach the body: doors that can be closed and opened elsewhere, and links that can be cut.
 
 use super::device::Device;
-use super::ptpip;
+use super::{ptpip, usb};
 use std::io;
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -12,12 +14,15 @@ use std::thread::JoinHandle;
 pub(super) enum Link {
     /// PTP/IP, commands or events.
     Tcp(TcpStream),
+    /// The bulk endpoints of USB.
+    Unix(UnixStream),
 }
 
 impl Link {
     pub(super) fn try_clone(&self) -> io::Result<Self> {
         Ok(match self {
             Self::Tcp(stream) => Self::Tcp(stream.try_clone()?),
+            Self::Unix(stream) => Self::Unix(stream.try_clone()?),
         })
     }
 
@@ -25,6 +30,7 @@ impl Link {
     pub(super) fn alive(&self) -> bool {
         match self {
             Self::Tcp(stream) => stream.peer_addr().is_ok(),
+            Self::Unix(stream) => stream.peer_addr().is_ok(),
         }
     }
 
@@ -33,6 +39,7 @@ impl Link {
         // A link that is gone already needs no cutting.
         let _ = match self {
             Self::Tcp(stream) => stream.shutdown(Shutdown::Both),
+            Self::Unix(stream) => stream.shutdown(Shutdown::Both),
         };
     }
 
@@ -40,6 +47,7 @@ impl Link {
     pub(super) fn serve(self, device: &Arc<Device>) -> io::Result<()> {
         match self {
             Self::Tcp(stream) => ptpip::serve(stream, device),
+            Self::Unix(stream) => usb::serve(stream, device),
         }
     }
 }
@@ -54,6 +62,8 @@ struct Door {
 pub(super) struct Plug {
     closed: Arc<AtomicBool>,
     doors: Vec<Door>,
+    /// The socket's file on a simulated USB bus.
+    node: Option<PathBuf>,
 }
 
 impl Plug {
@@ -62,7 +72,7 @@ impl Plug {
         let listeners =
             [TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?, TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?];
         let addresses = [listeners[0].local_addr()?, listeners[1].local_addr()?];
-        let mut plug = Self { closed: Arc::default(), doors: Vec::new() };
+        let mut plug = Self { closed: Arc::default(), doors: Vec::new(), node: None };
         for (listener, address) in listeners.into_iter().zip(addresses) {
             plug.open(
                 device,
@@ -74,6 +84,21 @@ impl Plug {
             )?;
         }
         Ok((plug, addresses))
+    }
+
+    /// A socket at `node`, which must not be there yet.
+    pub(super) fn usb(device: &Arc<Device>, node: &Path) -> io::Result<Self> {
+        let listener = UnixListener::bind(node)?;
+        let mut plug = Self { closed: Arc::default(), doors: Vec::new(), node: Some(node.to_owned()) };
+        let door = node.to_owned();
+        plug.open(
+            device,
+            move || Ok(Link::Unix(listener.accept()?.0)),
+            move || {
+                let _ = UnixStream::connect(&door);
+            },
+        )?;
+        Ok(plug)
     }
 
     fn open(
@@ -109,6 +134,9 @@ impl Drop for Plug {
             if let Some(thread) = door.thread.take() {
                 let _ = thread.join();
             }
+        }
+        if let Some(node) = &self.node {
+            let _ = std::fs::remove_file(node);
         }
     }
 }
