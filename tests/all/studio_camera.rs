@@ -412,6 +412,13 @@ fn a_late_frame_is_there_to_be_drained_when_the_next_client_connects() {
 }
 
 #[test]
+fn a_shutter_in_real_time_is_waited_for() {
+    let (_, server) = start(&BodyOptions { real_shutter: true, ..BodyOptions::default() });
+    let run = Cli::network(&server).run(&["--set-config", "shutterspeed=2", "--capture-image-and-download"]);
+    assert!(run.file() == blob(SIZE, 0) && run.took > Duration::from_secs(2), "{:?}", run.took);
+}
+
+#[test]
 fn a_late_frame_comes_after_its_time() {
     let (_, server) = start(&BodyOptions::default());
     server.fault(Fault::LateObject(Late::After(Duration::from_secs(1))));
@@ -501,6 +508,22 @@ fn cameras_are_detected_on_the_bus_while_they_are_plugged_in() {
 }
 
 #[test]
+fn a_camera_on_a_bus_that_is_gone_can_still_be_switched_off() {
+    let (bus, server) = on_a_bus(SIZE);
+    bus.close().unwrap();
+    drop(server);
+}
+
+#[test]
+fn an_address_that_no_bus_gives_is_refused_in_words() {
+    let bus = tempfile::tempdir().unwrap();
+    for address in ["1,4", "001", "000,004", "001,999", "../001,004"] {
+        let refused = CameraServer::start_usb(Blobs::new(1), bus.path(), address).err().unwrap();
+        assert!(refused.to_string().contains("as in 001,004"), "{address}: {refused}");
+    }
+}
+
+#[test]
 fn frames_come_over_usb_whole_whatever_their_size() {
     // With the 12 bytes of a container's head: less than a packet, one packet, packets that are all full, a full chunk
     // of the library's downloads, and one byte round each.
@@ -540,6 +563,25 @@ fn a_link_that_drops_in_a_download_leaves_the_camera_on_the_bus() {
     assert!(run.files.is_empty() && run.text.contains("PTP I/O Error"), "{}", run.text);
     assert_eq!(detected(bus.path()), ["usb:001,004"]);
     assert!(Cli::usb(bus.path()).shoot().file() == blob(SIZE, 1));
+}
+
+#[test]
+fn a_silent_usb_camera_costs_what_it_costs_in_the_field() {
+    let (bus, server) = on_a_bus(SIZE);
+    let cli = Cli::usb(bus.path());
+    // The first question of a session is asked three times, 1.5 s each.
+    server.fault(Fault::Stall);
+    let run = cli.run(&["--get-config", "iso"]);
+    assert!(run.text.contains("I/O problem"), "{}", run.text);
+    assert!((4.0..10.0).contains(&run.took.as_secs_f64()), "{:?}", run.took);
+    server.mend();
+    // Any other is waited for as long as libgphoto2 waits for a USB camera.
+    server.script([(server.operations() + 2, Fault::StallOnce)]);
+    let run = cli.run(&["--get-config", "iso"]);
+    assert!(run.text.contains("PTP I/O Error"), "{}", run.text);
+    assert!((20.0..40.0).contains(&run.took.as_secs_f64()), "{:?}", run.took);
+    assert_eq!(server.struck(), [Fault::Stall, Fault::StallOnce]);
+    assert!(cli.shoot().file() == blob(SIZE, 0));
 }
 
 #[test]
