@@ -17,5 +17,7 @@ mod raw;
 mod samples;
 mod scene_import;
 mod session;
+mod studio_camera;
 mod studio_world;
 mod wall;
+mod usb_bench;

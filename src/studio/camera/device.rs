@@ -21,6 +21,8 @@ pub(super) struct Device {
     pub(super) view: Arc<dyn View>,
     /// Serial number.
     pub(super) serial: String,
+    /// Exposures take their time.
+    real_shutter: bool,
     body: Mutex<Body>,
     faults: Mutex<Faults>,
     /// Told when faults are mended or the camera is switched off.
@@ -45,6 +47,7 @@ impl Device {
         Arc::new(Self {
             view,
             serial: options.serial.clone(),
+            real_shutter: options.real_shutter,
             body: Mutex::new(Body::new(options)),
             faults: Mutex::default(),
             mended: Condvar::new(),
@@ -134,6 +137,9 @@ impl Device {
 
     /// The files of one frame, exposed now.
     fn files(&self, exposure: &Exposure, kinds: &[Kind]) -> Vec<(Kind, Arc<[u8]>)> {
+        if self.real_shutter {
+            self.pause(Duration::from_secs_f64(exposure.shutter.0.max(0.0)));
+        }
         // The sensor is read out whatever becomes of it.
         let raw: Arc<[u8]> = self.view.expose(exposure).into();
         let file = |kind: &Kind| match kind {

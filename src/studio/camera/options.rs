@@ -69,6 +69,8 @@ pub struct BodyOptions {
     pub bracketing: u32,
     /// Files that the card takes; without one there is no card.
     pub card_room: Option<u32>,
+    /// The shutter stays open as long as its label says, rather than no time at all.
+    pub real_shutter: bool,
     /// Serial number.
     pub serial: String,
 }
@@ -87,6 +89,7 @@ impl Default for BodyOptions {
             lighting_optimizer: 3,
             bracketing: 0,
             card_room: None,
+            real_shutter: false,
             serial: super::datasets::SERIAL.to_owned(),
         }
     }

@@ -4,11 +4,13 @@ use super::device::Device;
 use super::{ptpip, usb};
 use std::io;
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::os::fd::OwnedFd;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 /// One client's connection.
 pub(super) enum Link {
@@ -52,11 +54,14 @@ impl Link {
     }
 }
 
-/// A door: a thread that takes clients, and how to wake it.
+/// A door: a thread that takes clients, and a handle on the listening socket, whose shutdown wakes it out of accept.
 struct Door {
     thread: Option<JoinHandle<()>>,
-    wake: Box<dyn Fn() + Send>,
+    listening: Link,
 }
+
+/// How long a door waits after a client that could not be taken, so that it does not spin when none can.
+const AFTER_TROUBLE: Duration = Duration::from_millis(50);
 
 /// The doors by which clients come in. Dropping it closes them: who connects afterwards is refused.
 pub(super) struct Plug {
@@ -73,15 +78,9 @@ impl Plug {
             [TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?, TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?];
         let addresses = [listeners[0].local_addr()?, listeners[1].local_addr()?];
         let mut plug = Self { closed: Arc::default(), doors: Vec::new(), node: None };
-        for (listener, address) in listeners.into_iter().zip(addresses) {
-            plug.open(
-                device,
-                move || Ok(Link::Tcp(listener.accept()?.0)),
-                move || {
-                    // A connection is what wakes a thread out of accept; it then sees that it should stop.
-                    let _ = TcpStream::connect(address);
-                },
-            )?;
+        for listener in listeners {
+            let listening = Link::Tcp(OwnedFd::from(listener.try_clone()?).into());
+            plug.open(device, listening, move || Ok(Link::Tcp(listener.accept()?.0)))?;
         }
         Ok((plug, addresses))
     }
@@ -90,22 +89,16 @@ impl Plug {
     pub(super) fn usb(device: &Arc<Device>, node: &Path) -> io::Result<Self> {
         let listener = UnixListener::bind(node)?;
         let mut plug = Self { closed: Arc::default(), doors: Vec::new(), node: Some(node.to_owned()) };
-        let door = node.to_owned();
-        plug.open(
-            device,
-            move || Ok(Link::Unix(listener.accept()?.0)),
-            move || {
-                let _ = UnixStream::connect(&door);
-            },
-        )?;
+        let listening = Link::Unix(OwnedFd::from(listener.try_clone()?).into());
+        plug.open(device, listening, move || Ok(Link::Unix(listener.accept()?.0)))?;
         Ok(plug)
     }
 
     fn open(
         &mut self,
         device: &Arc<Device>,
+        listening: Link,
         accept: impl Fn() -> io::Result<Link> + Send + 'static,
-        wake: impl Fn() + Send + 'static,
     ) -> io::Result<()> {
         let closed = Arc::clone(&self.closed);
         let device = Arc::downgrade(device);
@@ -118,10 +111,11 @@ impl Plug {
                 let Some(device) = device.upgrade() else { return };
                 if let Err(error) = link.and_then(|link| device.welcome(link)) {
                     tracing::warn!("simulated camera lost a client at the door: {error}");
+                    std::thread::sleep(AFTER_TROUBLE);
                 }
             }
         })?;
-        self.doors.push(Door { thread: Some(thread), wake: Box::new(wake) });
+        self.doors.push(Door { thread: Some(thread), listening });
         Ok(())
     }
 }
@@ -130,7 +124,7 @@ impl Drop for Plug {
     fn drop(&mut self) {
         self.closed.store(true, Ordering::Release);
         for door in &mut self.doors {
-            (door.wake)();
+            door.listening.shutdown();
             if let Some(thread) = door.thread.take() {
                 let _ = thread.join();
             }
