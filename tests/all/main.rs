@@ -17,4 +17,6 @@ mod raw;
 mod samples;
 mod scene_import;
 mod session;
+mod studio_camera;
 mod studio_world;
+mod usb_bench;

@@ -2,7 +2,9 @@
 
 use super::body::Body;
 use super::fault::{Fault, Faults};
+use super::objects::Kind;
 use super::operate;
+use super::options::BodyOptions;
 use super::plug::{Link, Plug};
 use super::request::{Outcome, Request};
 use crate::pair::Exposure;
@@ -17,6 +19,10 @@ use std::time::{Duration, Instant};
 /// What the threads of one camera share.
 pub(super) struct Device {
     pub(super) view: Arc<dyn View>,
+    /// Serial number.
+    pub(super) serial: String,
+    /// Exposures take their time.
+    real_shutter: bool,
     body: Mutex<Body>,
     faults: Mutex<Faults>,
     /// Told when faults are mended or the camera is switched off.
@@ -37,10 +43,12 @@ fn aborted(why: &str) -> io::Error {
 }
 
 impl Device {
-    pub(super) fn new(view: Arc<dyn View>, body: Body) -> Arc<Self> {
+    pub(super) fn new(view: Arc<dyn View>, options: &BodyOptions) -> Arc<Self> {
         Arc::new(Self {
             view,
-            body: Mutex::new(body),
+            serial: options.serial.clone(),
+            real_shutter: options.real_shutter,
+            body: Mutex::new(Body::new(options)),
             faults: Mutex::default(),
             mended: Condvar::new(),
             stopping: AtomicBool::new(false),
@@ -107,19 +115,38 @@ impl Device {
         }
     }
 
-    /// Exposes one frame on the shutter's thread; `fault` is what becomes of it.
-    pub(super) fn expose(self: &Arc<Self>, exposure: Exposure, fault: Option<Fault>) -> io::Result<()> {
+    /// Exposes one frame on the shutter's thread, into these files; `fault` is what becomes of it.
+    pub(super) fn expose(
+        self: &Arc<Self>,
+        exposure: Exposure,
+        kinds: Vec<Kind>,
+        fault: Option<Fault>,
+    ) -> io::Result<()> {
         let device = Arc::clone(self);
         self.spawn("shutter", move || {
             // A view that panics must not leave the body busy for ever; it just has no frame.
-            let frame = catch_unwind(AssertUnwindSafe(|| device.view.expose(&exposure)));
+            let files = catch_unwind(AssertUnwindSafe(|| device.files(&exposure, &kinds)));
             if let Ok(mut body) = device.body() {
-                match frame {
-                    Ok(bytes) => body.end_exposure(bytes, fault),
+                match files {
+                    Ok(files) => body.end_exposure(files, fault),
                     Err(_) => body.finish_exposure(),
                 }
             }
         })
+    }
+
+    /// The files of one frame, exposed now.
+    fn files(&self, exposure: &Exposure, kinds: &[Kind]) -> Vec<(Kind, Arc<[u8]>)> {
+        if self.real_shutter {
+            self.pause(Duration::from_secs_f64(exposure.shutter.0.max(0.0)));
+        }
+        // The sensor is read out whatever becomes of it.
+        let raw: Arc<[u8]> = self.view.expose(exposure).into();
+        let file = |kind: &Kind| match kind {
+            Kind::Raw => (Kind::Raw, Arc::clone(&raw)),
+            Kind::Jpeg => (Kind::Jpeg, self.view.jpeg(exposure).into()),
+        };
+        kinds.iter().map(file).collect()
     }
 
     pub(super) fn spawn(&self, name: &str, work: impl FnOnce() + Send + 'static) -> io::Result<()> {

@@ -43,12 +43,20 @@ pub enum Fault {
     LateObject(Late),
     /// A frame is announced twice.
     DoubledObject,
-    /// The file in the body lacks its last bytes; it is announced as if it were whole.
+    /// The file in the body lacks its last bytes; it is announced as if it were whole, and asking for the rest is
+    /// refused.
     CutObject {
         /// How many bytes are missing.
         missing: u32,
     },
-    /// The first download of the frame lacks the last bytes; the body still has the whole file.
+    /// The file in the body lacks its last bytes; it is announced as if it were whole, and asking for the rest gives
+    /// nothing and "OK": libgphoto2 then asks for ever, without a pause.
+    HollowObject {
+        /// How many bytes are missing.
+        missing: u32,
+    },
+    /// The first download of the file lacks the last bytes and asking for the rest is refused; the body still has the
+    /// whole file for a second download.
     CutDownload {
         /// How many bytes are missing.
         missing: u32,

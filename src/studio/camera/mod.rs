@@ -1,9 +1,10 @@
-//! The simulated camera: a PTP/IP responder on loopback that the unmodified libgphoto2 opens as a Canon EOS.
+//! The simulated camera: a PTP responder that the unmodified libgphoto2 opens as a Canon EOS.
 //!
-//! It takes a [`View`] (what stands before the lens) and gives a port name for the real driver
-//! (`ptpip:127.0.0.1:COMMANDS:EVENTS`). Packets are those of CIPA DC-005 (`ptpip`), operations those that
+//! It takes a [`View`] (what stands before the lens) and gives a port name for the real driver: a network port on
+//! loopback (`ptpip:127.0.0.1:COMMANDS:EVENTS`), or an address on a simulated USB bus (`usb:001,004`). Packets are those
+//! of CIPA DC-005 (`ptpip`) and of the still image class (`usb`), operations those that
 //! libgphoto2's ptp2 driver was seen to use with an EOS (`operate`, `datasets`); the body is in M,
-//! manual focus, RAW alone (`body`, `dials`).
+//! manual focus, RAW alone unless [`BodyOptions`] say otherwise (`body`, `properties`, `dials`, `objects`).
 //!
 //! The object is announced in Canon's format b103, so libgphoto2 names it `capt0000.cr2`, whatever name the
 //! body gave; the bytes are those that [`View::expose`] returned, unchanged, and say themselves that they
@@ -14,38 +15,121 @@ mod datasets;
 mod device;
 mod dials;
 mod fault;
+mod objects;
 mod operate;
+mod options;
 mod plug;
+mod properties;
 mod ptpip;
 mod request;
+mod usb;
 
 pub use fault::{Count, Fault, Late};
+pub use options::{BodyOptions, Drive, Files, Focus, Mode};
 
 use crate::studio::View;
-use body::Body;
 use device::Device;
 use plug::Plug;
-use std::io;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::{fmt, io};
 
 /// A simulated camera that listens. Dropping it closes its links and ends its threads.
 pub struct CameraServer {
     device: Arc<Device>,
-    port: Mutex<String>,
+    socket: Mutex<Socket>,
+}
+
+/// Where the plug is, or was.
+enum Socket {
+    /// PTP/IP, commands and events.
+    Network([SocketAddr; 2]),
+    /// A folder that stands for a bus, and bus and device number on it.
+    Usb(PathBuf, UsbAddress),
+}
+
+/// Bus and device number, `001,004` in words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct UsbAddress {
+    bus: u8,
+    device: u8,
+}
+
+impl UsbAddress {
+    /// The number that a bus gives next.
+    fn next(self) -> Self {
+        let device = if self.device >= 127 { 1 } else { self.device + 1 };
+        Self { device, ..self }
+    }
+}
+
+impl FromStr for UsbAddress {
+    type Err = io::Error;
+
+    fn from_str(text: &str) -> io::Result<Self> {
+        let number = |digits: &str| digits.parse::<u8>().ok().filter(|n| digits.len() == 3 && *n > 0);
+        text.split_once(',')
+            .and_then(|(bus, device)| Some(Self { bus: number(bus)?, device: number(device)? }))
+            .ok_or_else(|| {
+                let message = format!("{text} is no USB address; give bus and device as in 001,004");
+                io::Error::new(io::ErrorKind::InvalidInput, message)
+            })
+    }
+}
+
+impl fmt::Display for UsbAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:03},{:03}", self.bus, self.device)
+    }
 }
 
 impl CameraServer {
     /// Binds two free loopback ports and serves a body that looks at `view`: 1/125 s, f/11, ISO 100.
     pub fn start(view: Arc<dyn View>) -> io::Result<Self> {
-        let server = Self { device: Device::new(view, Body::new()), port: Mutex::default() };
-        server.replug()?;
-        Ok(server)
+        Self::start_with(view, &BodyOptions::default())
     }
 
-    /// The port by which libgphoto2 opens this camera, as model "PTP/IP Camera"; the last one while it is unplugged.
+    /// The same with a body that stands otherwise.
+    pub fn start_with(view: Arc<dyn View>, options: &BodyOptions) -> io::Result<Self> {
+        let device = Device::new(view, options);
+        let (plug, addresses) = Plug::ptpip(&device)?;
+        device.plug_in(plug);
+        Ok(Self { device, socket: Mutex::new(Socket::Network(addresses)) })
+    }
+
+    /// Serves a body on a simulated USB bus: a socket in `folder` named by `address`, bus and device number as in
+    /// `001,004`. libgphoto2 sees it with the stand-in for its USB port driver (`src/studio/usb/usb1.c`) in the folder
+    /// that `IOLIBS` names, and `folder` in `UNLIT_STUDIO_USB`.
+    pub fn start_usb(view: Arc<dyn View>, folder: &Path, address: &str) -> io::Result<Self> {
+        Self::start_usb_with(view, folder, address, &BodyOptions::default())
+    }
+
+    /// The same with a body that stands otherwise.
+    pub fn start_usb_with(
+        view: Arc<dyn View>,
+        folder: &Path,
+        address: &str,
+        options: &BodyOptions,
+    ) -> io::Result<Self> {
+        let device = Device::new(view, options);
+        let address: UsbAddress = address.parse()?;
+        device.plug_in(Plug::usb(&device, &folder.join(address.to_string()))?);
+        Ok(Self { device, socket: Mutex::new(Socket::Usb(folder.to_owned(), address)) })
+    }
+
+    /// The port by which libgphoto2 opens this camera, as model "PTP/IP Camera" on a network port, by detection on a USB
+    /// port; the last one while it is unplugged.
     pub fn port(&self) -> String {
-        self.port.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        match &*self.socket() {
+            Socket::Network([commands, events]) => format!("ptpip:{commands}:{}", events.port()),
+            Socket::Usb(_, address) => format!("usb:{address}"),
+        }
+    }
+
+    fn socket(&self) -> MutexGuard<'_, Socket> {
+        self.socket.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Arms a fault, after those that are armed already: it strikes at the next operation that suits it.
@@ -89,6 +173,25 @@ impl CameraServer {
         self.device.body().map_or(0, |body| body.waiting())
     }
 
+    /// Files on the card.
+    pub fn files_on_card(&self) -> usize {
+        self.device.body().map_or(0, |mut body| body.objects().on_card())
+    }
+
+    /// Turns the mode dial, as only the photographer can.
+    pub fn turn_mode_dial(&self, mode: Mode) {
+        if let Ok(mut body) = self.device.body() {
+            body.turn_mode_dial(mode);
+        }
+    }
+
+    /// Moves the focus switch on the lens, as only the photographer can.
+    pub fn switch_focus(&self, focus: Focus) {
+        if let Ok(mut body) = self.device.body() {
+            body.switch_focus(focus);
+        }
+    }
+
     /// The faults that have struck, in order.
     pub fn struck(&self) -> Vec<Fault> {
         self.device.faults().struck().to_vec()
@@ -105,26 +208,32 @@ impl CameraServer {
         self.device.plugged()
     }
 
-    /// Plugs the camera in, where it is found under another port than before.
+    /// Plugs the camera in, where it is found under another port than before: the next device number, or a network
+    /// port that the system chooses.
     pub fn replug(&self) -> io::Result<()> {
         self.device.unplug();
-        let before = self.port();
-        let (plug, port) = loop {
-            let (plug, [commands, events]) = Plug::ptpip(&self.device)?;
-            let port = port_name(commands, events);
-            // The system may hand the same numbers out again.
-            if port != before {
-                break (plug, port);
+        let mut socket = self.socket();
+        match &mut *socket {
+            Socket::Network(addresses) => {
+                let before = *addresses;
+                let plug = loop {
+                    let (plug, now) = Plug::ptpip(&self.device)?;
+                    // The system may hand the same numbers out again.
+                    if now[0] != before[0] {
+                        *addresses = now;
+                        break plug;
+                    }
+                };
+                self.device.plug_in(plug);
             }
-        };
-        *self.port.lock().unwrap_or_else(PoisonError::into_inner) = port;
-        self.device.plug_in(plug);
+            Socket::Usb(folder, address) => {
+                let next = address.next();
+                self.device.plug_in(Plug::usb(&self.device, &folder.join(next.to_string()))?);
+                *address = next;
+            }
+        }
         Ok(())
     }
-}
-
-fn port_name(commands: SocketAddr, events: SocketAddr) -> String {
-    format!("ptpip:{commands}:{}", events.port())
 }
 
 impl Drop for CameraServer {

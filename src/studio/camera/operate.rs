@@ -1,11 +1,13 @@
 //! What the body does when it is asked, whatever transport brought the question.
 
-use super::body::{Body, SetError, prop};
+use super::body::Body;
 use super::datasets::{self, op};
 use super::device::Device;
 use super::dials;
 use super::fault::Fault;
-use super::request::{Answer, Outcome, Request, Words, code};
+use super::objects::Objects;
+use super::properties::{SetError, parse_set, prop};
+use super::request::{Answer, Outcome, Request, code};
 use std::io;
 use std::sync::Arc;
 
@@ -15,13 +17,29 @@ const FULL_PRESS: u32 = 2;
 /// Carries a request out; `sent` is the client's data phase.
 pub(super) fn operate(request: &Request, sent: &[u8], device: &Arc<Device>) -> io::Result<Outcome> {
     let mut body = device.body()?;
-    body.show(device.faults().has(Fault::NoRoom), device.faults().has(Fault::LowBattery));
+    let [full, low] = {
+        let faults = device.faults();
+        [Fault::NoRoom, Fault::LowBattery].map(|fault| faults.has(fault))
+    };
+    body.show(full, low);
     Ok(Outcome::Answer(match request.operation {
-        op::GET_DEVICE_INFO => Answer::data(datasets::device_info()),
+        op::GET_DEVICE_INFO => Answer::data(datasets::device_info(&device.serial)),
         op::EOS_GET_DEVICE_INFO => Answer::data(datasets::eos_device_info(&body.properties())),
         op::GET_STORAGE_IDS | op::EOS_GET_STORAGE_IDS => Answer::data(datasets::array(&[datasets::STORAGE])),
-        op::GET_STORAGE_INFO | op::EOS_GET_STORAGE_INFO => Answer::data(datasets::storage_info()),
+        op::GET_STORAGE_INFO | op::EOS_GET_STORAGE_INFO => Answer::data(datasets::storage_info(body.card())),
+        op::GET_OBJECT_HANDLES if Objects::is_card(request.parameter(0)) && body.card().is_some() => {
+            Answer::data(datasets::array(&body.objects().handles(request.parameter(2))))
+        }
+        op::EOS_GET_OBJECTS if Objects::is_card(request.parameter(0)) && body.card().is_some() => {
+            Answer::data(datasets::object_list(&body.objects().children(request.parameter(1))))
+        }
         op::GET_OBJECT_HANDLES | op::EOS_GET_OBJECTS => Answer::data(datasets::array(&[])),
+        op::GET_OBJECT_INFO => match body.objects().entry(request.parameter(0)) {
+            Some(entry) => Answer::data(datasets::object_info(&entry)),
+            None => Answer::code(code::NO_OBJECT),
+        },
+        op::DELETE_OBJECT if body.objects().remove(request.parameter(0)) => Answer::code(code::OK),
+        op::DELETE_OBJECT => Answer::code(code::NO_OBJECT),
         op::EOS_GET_EVENT => Answer::data(body.take_events()),
         op::EOS_SET_PROPERTY => set_property(&mut body, sent, device),
         op::EOS_REQUEST_PROPERTY => {
@@ -52,15 +70,20 @@ pub(super) fn operate(request: &Request, sent: &[u8], device: &Arc<Device>) -> i
             data.extend(jpeg);
             Answer::data(data)
         }
-        op::GET_PARTIAL_OBJECT => {
-            let (object, from, length) = (request.parameter(0), request.parameter(1), request.parameter(2));
-            let Some(part) = body.part(object, from, length) else {
-                return Ok(Outcome::Answer(Answer::code(code::NO_OBJECT)));
+        op::GET_PARTIAL_OBJECT | op::GET_OBJECT => {
+            let (from, length) = match request.operation {
+                op::GET_OBJECT => (0, u32::MAX),
+                _ => (request.parameter(1), request.parameter(2)),
             };
+            let part = body.objects().part(request.parameter(0), from, length);
             drop(body);
-            return Ok(download(device, Answer::data(part)));
+            match part {
+                Some(Some(part)) => return Ok(download(device, Answer::data(part))),
+                Some(None) => Answer::code(code::BAD_PARAMETER),
+                None => Answer::code(code::NO_OBJECT),
+            }
         }
-        op::EOS_TRANSFER_COMPLETE if body.forget(request.parameter(0)) => Answer::code(code::OK),
+        op::EOS_TRANSFER_COMPLETE if body.objects().remove(request.parameter(0)) => Answer::code(code::OK),
         op::EOS_TRANSFER_COMPLETE => Answer::code(code::NO_OBJECT),
         op::OPEN_SESSION
         | op::CLOSE_SESSION
@@ -84,25 +107,18 @@ fn download(device: &Arc<Device>, answer: Answer) -> Outcome {
     }
 }
 
-/// `u32 size, u32 property, value` from the client.
+/// A property from the client.
 fn set_property(body: &mut Body, sent: &[u8], device: &Arc<Device>) -> Answer {
-    let mut words = Words::new(sent);
-    let (Ok(_size), Ok(property)) = (words.u32(), words.u32()) else {
+    let Some((property, value)) = parse_set(sent) else {
         return Answer::code(code::BAD_PARAMETER);
     };
-    let rest = words.rest();
-    if rest.is_empty() || rest.len() > 4 {
-        return Answer::code(code::BAD_PARAMETER);
-    }
-    let mut value = [0; 4];
-    value[..rest.len()].copy_from_slice(rest);
     // The library itself sets these two when it opens and closes; a body that ignored them could not be used at all.
     let housekeeping = [prop::TARGET, prop::EVF_OUTPUT].contains(&property);
     if !housekeeping && device.faults().strike(|f| *f == Fault::SetIgnored).is_some() {
         body.announce(property);
         return Answer::code(code::OK);
     }
-    Answer::code(match body.set(property, u32::from_le_bytes(value)) {
+    Answer::code(match body.set(property, value) {
         Ok(()) => code::OK,
         Err(SetError::Unknown) => code::NO_PROPERTY,
         Err(SetError::Value) => code::BAD_VALUE,
@@ -117,6 +133,7 @@ fn shapes_a_frame(fault: &Fault, has_last: bool) -> bool {
         | Fault::DoubledObject
         | Fault::CutObject { .. }
         | Fault::CutDownload { .. }
+        | Fault::HollowObject { .. }
         | Fault::ShortFile { .. }
         | Fault::WrongExif
         | Fault::SlowReady(_) => true,
@@ -149,7 +166,12 @@ fn release(device: &Arc<Device>) -> io::Result<u16> {
     }
     if !body.to_computer() {
         let full = device.faults().strike(|f| *f == Fault::CardFull).is_some();
-        return Ok(if full { code::STORE_FULL } else { code::NO_CARD });
+        match body.card() {
+            _ if full => return Ok(code::STORE_FULL),
+            None => return Ok(code::NO_CARD),
+            Some((_, left)) if (left as usize) < body.kinds().len() => return Ok(code::STORE_FULL),
+            Some(_) => {}
+        }
     }
     let Some(mut exposure) = body.exposure() else {
         return Ok(code::GENERAL);
@@ -160,7 +182,8 @@ fn release(device: &Arc<Device>) -> io::Result<u16> {
         exposure.shutter = dials::one_stop_off(exposure.shutter);
     }
     body.begin_exposure();
+    let kinds = body.kinds();
     drop(body);
-    device.expose(exposure, fault)?;
+    device.expose(exposure, kinds, fault)?;
     Ok(code::OK)
 }

@@ -1,23 +1,30 @@
 //! How clients reach the body: doors that can be closed and opened elsewhere, and links that can be cut.
 
 use super::device::Device;
-use super::ptpip;
+use super::{ptpip, usb};
 use std::io;
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::os::fd::OwnedFd;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 /// One client's connection.
 pub(super) enum Link {
     /// PTP/IP, commands or events.
     Tcp(TcpStream),
+    /// The bulk endpoints of USB.
+    Unix(UnixStream),
 }
 
 impl Link {
     pub(super) fn try_clone(&self) -> io::Result<Self> {
         Ok(match self {
             Self::Tcp(stream) => Self::Tcp(stream.try_clone()?),
+            Self::Unix(stream) => Self::Unix(stream.try_clone()?),
         })
     }
 
@@ -25,6 +32,7 @@ impl Link {
     pub(super) fn alive(&self) -> bool {
         match self {
             Self::Tcp(stream) => stream.peer_addr().is_ok(),
+            Self::Unix(stream) => stream.peer_addr().is_ok(),
         }
     }
 
@@ -33,6 +41,7 @@ impl Link {
         // A link that is gone already needs no cutting.
         let _ = match self {
             Self::Tcp(stream) => stream.shutdown(Shutdown::Both),
+            Self::Unix(stream) => stream.shutdown(Shutdown::Both),
         };
     }
 
@@ -40,20 +49,26 @@ impl Link {
     pub(super) fn serve(self, device: &Arc<Device>) -> io::Result<()> {
         match self {
             Self::Tcp(stream) => ptpip::serve(stream, device),
+            Self::Unix(stream) => usb::serve(stream, device),
         }
     }
 }
 
-/// A door: a thread that takes clients, and how to wake it.
+/// A door: a thread that takes clients, and a handle on the listening socket, whose shutdown wakes it out of accept.
 struct Door {
     thread: Option<JoinHandle<()>>,
-    wake: Box<dyn Fn() + Send>,
+    listening: Link,
 }
+
+/// How long a door waits after a client that could not be taken, so that it does not spin when none can.
+const AFTER_TROUBLE: Duration = Duration::from_millis(50);
 
 /// The doors by which clients come in. Dropping it closes them: who connects afterwards is refused.
 pub(super) struct Plug {
     closed: Arc<AtomicBool>,
     doors: Vec<Door>,
+    /// The socket's file on a simulated USB bus.
+    node: Option<PathBuf>,
 }
 
 impl Plug {
@@ -62,25 +77,28 @@ impl Plug {
         let listeners =
             [TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?, TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?];
         let addresses = [listeners[0].local_addr()?, listeners[1].local_addr()?];
-        let mut plug = Self { closed: Arc::default(), doors: Vec::new() };
-        for (listener, address) in listeners.into_iter().zip(addresses) {
-            plug.open(
-                device,
-                move || Ok(Link::Tcp(listener.accept()?.0)),
-                move || {
-                    // A connection is what wakes a thread out of accept; it then sees that it should stop.
-                    let _ = TcpStream::connect(address);
-                },
-            )?;
+        let mut plug = Self { closed: Arc::default(), doors: Vec::new(), node: None };
+        for listener in listeners {
+            let listening = Link::Tcp(OwnedFd::from(listener.try_clone()?).into());
+            plug.open(device, listening, move || Ok(Link::Tcp(listener.accept()?.0)))?;
         }
         Ok((plug, addresses))
+    }
+
+    /// A socket at `node`, which must not be there yet.
+    pub(super) fn usb(device: &Arc<Device>, node: &Path) -> io::Result<Self> {
+        let listener = UnixListener::bind(node)?;
+        let mut plug = Self { closed: Arc::default(), doors: Vec::new(), node: Some(node.to_owned()) };
+        let listening = Link::Unix(OwnedFd::from(listener.try_clone()?).into());
+        plug.open(device, listening, move || Ok(Link::Unix(listener.accept()?.0)))?;
+        Ok(plug)
     }
 
     fn open(
         &mut self,
         device: &Arc<Device>,
+        listening: Link,
         accept: impl Fn() -> io::Result<Link> + Send + 'static,
-        wake: impl Fn() + Send + 'static,
     ) -> io::Result<()> {
         let closed = Arc::clone(&self.closed);
         let device = Arc::downgrade(device);
@@ -93,10 +111,11 @@ impl Plug {
                 let Some(device) = device.upgrade() else { return };
                 if let Err(error) = link.and_then(|link| device.welcome(link)) {
                     tracing::warn!("simulated camera lost a client at the door: {error}");
+                    std::thread::sleep(AFTER_TROUBLE);
                 }
             }
         })?;
-        self.doors.push(Door { thread: Some(thread), wake: Box::new(wake) });
+        self.doors.push(Door { thread: Some(thread), listening });
         Ok(())
     }
 }
@@ -105,10 +124,13 @@ impl Drop for Plug {
     fn drop(&mut self) {
         self.closed.store(true, Ordering::Release);
         for door in &mut self.doors {
-            (door.wake)();
+            door.listening.shutdown();
             if let Some(thread) = door.thread.take() {
                 let _ = thread.join();
             }
+        }
+        if let Some(node) = &self.node {
+            let _ = std::fs::remove_file(node);
         }
     }
 }
