@@ -152,9 +152,11 @@ pub fn watch(on_change: impl FnMut(&[UsbCamera]) + Send + 'static) -> std::io::R
     watch_by(
         move |over| {
             let bell = Arc::new(AtomicBool::new(false));
-            let registered: Option<rusb::Registration<Context>> = rusb::has_hotplug()
-                .then(|| HotplugBuilder::new().register(&context, Box::new(Bell(bell.clone()))).ok())
-                .flatten();
+            let ring: Box<dyn Hotplug<Context>> = Box::new(Bell(bell.clone()));
+            let registered = match rusb::has_hotplug() {
+                true => HotplugBuilder::new().register(&context, ring).ok(),
+                false => None,
+            };
             move || match &registered {
                 Some(_) => {
                     while !over.load(Ordering::Acquire) && !bell.swap(false, Ordering::AcqRel) {
