@@ -384,6 +384,29 @@ mod tests {
     }
 
     #[test]
+    fn a_frame_wider_than_the_finest_level_tells_a_known_shift_in_sites() {
+        let (width, height) = (5200, 1200);
+        let wide = |dx: f32, dy: f32, seed: u32| {
+            let mut state = seed;
+            let dn = Image::from_fn(width, height, |x, y| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let (x, y) = (x as f32 - dx, y as f32 - dy);
+                let waves = (x / 31.0).sin() * (y / 23.0).cos()
+                    + (x / 57.0 + y / 41.0).sin()
+                    + (x * y / 90_000.0).sin();
+                (3200.0 + 250.0 * waves + (state >> 26) as f32) as u16
+            });
+            Mosaic { dn, ..frame(1, |_, _| 0.0) }
+        };
+        let still = wide(0.0, 0.0, 1);
+        for (dx, dy) in [(0.0, 0.0), (0.4, -0.3), (1.0, 2.0), (-9.5, 6.25)] {
+            let (x, y) = shift(&still, &wide(dx, dy, 2)).unwrap();
+            let miss = (x - f64::from(dx)).hypot(y - f64::from(dy));
+            assert!(miss < 0.1, "{x} {y} for {dx} {dy}");
+        }
+    }
+
+    #[test]
     fn a_frame_without_structure_is_not_called_moved() {
         assert_eq!(shift(&frame(1, |_, _| 3000.0), &frame(2, |_, _| 9000.0)), None);
         assert_eq!(codes(&frame(1, |_, _| 3000.0), &frame(2, |_, _| 9000.0)), []);

@@ -2,9 +2,11 @@
 
 mod agreement;
 mod checks;
+pub mod finding;
 mod light;
 mod limits;
 mod motion;
+pub mod parts;
 mod plan;
 mod record;
 mod settings;
