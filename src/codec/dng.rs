@@ -235,6 +235,7 @@ mod tests {
             exposure_program: Some("Manual".into()),
             white_balance: Some("Manual".into()),
             taken_at: Some("2026-05-04T10:00:04".into()),
+            ..Settings::default()
         }
     }
 

@@ -1,6 +1,7 @@
 //! The only caller of file decoders and encoders.
 
 pub mod asset;
+mod canon;
 pub mod dng;
 pub mod exif;
 pub mod exr_half;

@@ -5,13 +5,14 @@ use super::{Masked, Photo, RawError};
 use crate::pair::Settings;
 use crate::photometry::{Cfa, LevelSource, Levels, Mosaic};
 use crate::raster::Image;
+use serde::{Deserialize, Serialize};
 
 /// Sites a CFA position must have in the masked border before their mean is trusted: with some 5 DN of
 /// read noise the mean is then good to 0.3 DN.
 const MIN_MASKED_SITES: usize = 256;
 
 /// A rectangle of sensor sites: rows `top..bottom`, columns `left..right`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Rect {
     pub(super) top: usize,
     pub(super) left: usize,
