@@ -7,16 +7,17 @@
 use super::raw::tiffdir::Directory;
 use crate::pair::Settings;
 
-const CAMERA_SETTINGS: u16 = 0x0001;
-const LIGHTING: u16 = 0x4018;
+pub(super) const CAMERA_SETTINGS: u16 = 0x0001;
+pub(super) const LIGHTING: u16 = 0x4018;
 
 /// Places in CameraSettings.
-const DRIVE: usize = 5;
-const FOCUS: usize = 7;
+pub(super) const QUALITY: usize = 3;
+pub(super) const DRIVE: usize = 5;
+pub(super) const FOCUS: usize = 7;
 /// Places in LightingOpt.
-const TONE_PRIORITY: usize = 3;
-const LONG_EXPOSURE: usize = 4;
-const HIGH_ISO: usize = 5;
+pub(super) const TONE_PRIORITY: usize = 3;
+pub(super) const LONG_EXPOSURE: usize = 4;
+pub(super) const HIGH_ISO: usize = 5;
 
 const DRIVES: &[(i64, &str)] = &[
     (0, "Single"),
@@ -51,11 +52,12 @@ const STRENGTHS: &[(i64, &str)] = &[(0, "Standard"), (1, "Low"), (2, "Strong"), 
 /// Adds what the notes tell.
 pub(super) fn add(settings: &mut Settings, notes: &Directory) {
     let camera = notes.unsigned(CAMERA_SETTINGS).unwrap_or_default();
-    let signed_16 = |at: usize| camera.get(at).map(|v| i64::from(*v as u16 as i16));
+    // -1 stands for what the body does not tell.
+    let signed_16 = |at: usize| camera.get(at).map(|v| i64::from(*v as u16 as i16)).filter(|v| *v >= 0);
     settings.drive_mode = word(signed_16(DRIVE), DRIVES);
     settings.focus_mode = word(signed_16(FOCUS), FOCUSES);
     let lighting = notes.unsigned(LIGHTING).unwrap_or_default();
-    let signed_32 = |at: usize| lighting.get(at).map(|v| i64::from(*v as u32 as i32));
+    let signed_32 = |at: usize| lighting.get(at).map(|v| i64::from(*v as u32 as i32)).filter(|v| *v >= 0);
     settings.highlight_tone_priority = word(signed_32(TONE_PRIORITY), OFF_ON);
     settings.long_exposure_noise_reduction = word(signed_32(LONG_EXPOSURE), OFF_AUTO_ON);
     settings.high_iso_noise_reduction = word(signed_32(HIGH_ISO), STRENGTHS);

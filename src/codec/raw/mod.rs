@@ -107,6 +107,12 @@ pub fn decode(bytes: &[u8], what: &str) -> Result<Photo, RawError> {
     sensor::develop(what, plane, &frame.description, settings)
 }
 
+/// Decodes with the second decoder alone, whoever else could: for comparing the two. Levels and areas are the
+/// second decoder's, also where the file has its own.
+pub fn decode_with_second(bytes: &[u8], what: &str) -> Result<Photo, RawError> {
+    decode_second(bytes, what, "asked for", super::exif::settings(bytes))
+}
+
 /// What the first decoders do not know, levels and areas from the second one's table. What the file itself tells
 /// of its settings goes before what the decoder makes of it.
 fn decode_second(bytes: &[u8], what: &str, why: &str, own: Settings) -> Result<Photo, RawError> {
