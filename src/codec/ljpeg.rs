@@ -91,7 +91,7 @@ fn codes(counts: &[u64; CATEGORIES]) -> [Code; CATEGORIES] {
         .collect();
     let mut lengths = [0u32; CATEGORIES + 1];
     while trees.len() > 1 {
-        trees.sort_by(|a, b| b.0.cmp(&a.0));
+        trees.sort_by_key(|tree| std::cmp::Reverse(tree.0));
         let (Some(a), Some(b)) = (trees.pop(), trees.pop()) else { break };
         let joined = [a.1, b.1].concat();
         for &c in &joined {

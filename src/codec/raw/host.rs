@@ -35,7 +35,8 @@ const MAX_FILE: u64 = 1 << 30;
 /// Meant for a process of its own: it lowers the process's limits for good.
 pub fn run() -> io::Result<()> {
     limit(Resource::Core, 0)?;
-    limit(Resource::Cpu, CPU_SECONDS)?;
+    // The signal of the lower limit says why; the higher one ends it should that not.
+    setrlimit(Resource::Cpu, Rlimit { current: Some(CPU_SECONDS), maximum: Some(CPU_SECONDS + 5) })?;
     // The parent words every failure; a backtrace on a terminal that somebody works at helps nobody.
     std::panic::set_hook(Box::new(|_| {}));
     let mut input = io::stdin().lock();

@@ -8,6 +8,7 @@ use super::RawError;
 use super::host;
 use super::sensor::Plane;
 use super::wire::{self, Answer, Frame, Refusal};
+use rustix::process::{Pid, Signal, kill_process_group};
 use std::io;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
@@ -42,10 +43,11 @@ pub(super) fn decode(bytes: &[u8], what: &str, why: &str) -> Result<(Plane, Box<
 struct Reaped(Child);
 
 impl Reaped {
+    /// Ends it with all that it started, unless it has ended.
     fn kill(&mut self) {
-        // The child leads its group, so that whatever it started goes too. One that is gone is no error.
-        if let Some(group) = rustix::process::Pid::from_raw(self.0.id() as i32) {
-            let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
+        // The child leads its group. As long as it has not been waited for, its id is nobody else's.
+        if let (Ok(None), Some(group)) = (self.0.try_wait(), Pid::from_raw(self.0.id() as i32)) {
+            let _ = kill_process_group(group, Signal::KILL);
         }
     }
 }
@@ -88,15 +90,14 @@ fn decode_with(
             // Nobody listens any more once the deadline has passed.
             let _ = send.send(answer);
         });
-        let answer = receive.recv_timeout(deadline);
-        if answer.is_err() {
-            child.kill();
-        }
-        match answer {
+        let answer = match receive.recv_timeout(deadline) {
             Ok(Ok(answer)) => answer,
             Ok(Err(cut)) => Err(died(ending(&mut child, &cut))),
             Err(_) => Err(died(format!("it did not answer within {} s", deadline.as_secs()))),
-        }
+        };
+        // Whatever it still does is not wanted, and the threads end with its ends of the pipes.
+        child.kill();
+        answer
     })
 }
 
@@ -137,7 +138,8 @@ fn ending(child: &mut Reaped, cut: &io::Error) -> String {
     };
     match status.signal() {
         Some(6) => format!("it asked for more than {} MB of memory, or gave up", host::MEMORY >> 20),
-        Some(9 | 24) => format!("it took more than {} s of processor time", host::CPU_SECONDS),
+        Some(24) => format!("it took more than {} s of processor time", host::CPU_SECONDS),
+        Some(9) => "it was killed from outside, perhaps because the machine had no memory left".to_owned(),
         Some(11) => "it ran into memory that is not its own (signal 11)".to_owned(),
         Some(signal) => format!("it was ended by signal {signal}"),
         None => format!("it ended ({status}) in the middle of its answer: {cut}"),
@@ -189,6 +191,25 @@ mod tests {
         // The sleeping grandchild holds the pipe open.
         assert_eq!(how("sleep 600 & sleep 600", Duration::from_secs(1)), "it did not answer within 1 s");
         assert!(begun.elapsed() < Duration::from_secs(5));
+    }
+
+    #[test]
+    fn a_host_that_answers_without_reading_or_ending_stops_nobody() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut refusal = Vec::new();
+        let pattern = Refusal::Pattern { pattern: "X-Trans".to_owned() };
+        wire::answer(&mut refusal, &Answer::Refused(pattern), &[]).unwrap();
+        std::fs::write(folder.path().join("answer"), refusal).unwrap();
+        let program = script(folder.path(), &format!("cat {}/answer; sleep 600", folder.path().display()));
+        let begun = Instant::now();
+        loop {
+            match decode_with(&program, DEADLINE, &vec![7; 4 << 20], "x.raf") {
+                Err(RawError::DecoderProcess { how, .. }) if how.contains("Text file busy") => {}
+                Err(RawError::Pattern { pattern, .. }) => break assert_eq!(pattern, "X-Trans"),
+                other => panic!("{:?}", other.map(|(plane, _)| plane.dn.len())),
+            }
+        }
+        assert!(begun.elapsed() < Duration::from_secs(10));
     }
 
     #[test]

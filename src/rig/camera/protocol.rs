@@ -37,6 +37,7 @@ pub(super) enum Request {
 /// What the host answers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[allow(clippy::large_enum_variant, reason = "one reply is there at a time, never a list of them")]
 pub(super) enum Reply {
     /// To [`Request::List`].
     Cameras(Vec<CameraInfo>),
