@@ -1,7 +1,8 @@
 //! The devices at hand: opened when they are needed, looked for again when they are missing, and described
 //! in words at any time.
 
-use crate::rig::{Camera, CameraError, CameraInfo, Flash, FlashError};
+use super::engine::CameraState;
+use crate::rig::{Camera, CameraError, CameraInfo, Flash, FlashError, LockReport, LockState};
 use serde::Serialize;
 
 /// What fires the flash.
@@ -14,8 +15,10 @@ pub enum FlashKind {
     None,
 }
 
-/// Opens a camera; called whenever one is needed and none is open.
-pub type OpenCamera = Box<dyn Fn() -> Result<Box<dyn Camera>, CameraError> + Send>;
+/// Opens the camera on a port, or the first that is found; called whenever one is needed and none is open.
+pub type OpenCamera = Box<dyn Fn(Option<&str>) -> Result<Box<dyn Camera>, CameraError> + Send>;
+/// Lists the cameras that can be opened.
+pub type ListCameras = Box<dyn Fn() -> Result<Vec<CameraInfo>, CameraError> + Send + Sync>;
 /// Opens a flash; called whenever one is needed and none is open.
 pub type OpenFlash = Box<dyn Fn() -> Result<FlashKind, FlashError> + Send>;
 
@@ -23,6 +26,8 @@ pub type OpenFlash = Box<dyn Fn() -> Result<FlashKind, FlashError> + Send>;
 pub struct RigSource {
     /// Opens the camera.
     pub camera: OpenCamera,
+    /// Lists the cameras.
+    pub cameras: ListCameras,
     /// Opens the flash.
     pub flash: OpenFlash,
 }
@@ -63,20 +68,34 @@ impl Devices {
 
 /// The open devices; belongs to the engine alone.
 pub(super) struct Bench {
-    source: RigSource,
+    open_camera: OpenCamera,
+    open_flash: OpenFlash,
     camera: Option<Box<dyn Camera>>,
+    /// The port that the operator chose; the first camera found without one.
+    chosen: Option<String>,
+    /// How the lock stood when the open camera was locked; forgotten with every trouble.
+    lock: Option<LockReport>,
     flash: Option<FlashKind>,
 }
 
 impl Bench {
-    pub(super) fn new(source: RigSource) -> Self {
-        Self { source, camera: None, flash: None }
+    pub(super) fn new(open_camera: OpenCamera, open_flash: OpenFlash) -> Self {
+        Self { open_camera, open_flash, camera: None, chosen: None, lock: None, flash: None }
+    }
+
+    /// From now on, the camera on this port.
+    pub(super) fn choose(&mut self, port: &str) {
+        if self.chosen.as_deref() != Some(port) {
+            self.chosen = Some(port.to_owned());
+            self.camera = None;
+            self.lock = None;
+        }
     }
 
     /// The camera, opened if need be.
     pub(super) fn camera(&mut self) -> Result<&mut dyn Camera, CameraError> {
         if self.camera.is_none() {
-            self.camera = Some((self.source.camera)()?);
+            self.camera = Some((self.open_camera)(self.chosen.as_deref())?);
         }
         match &mut self.camera {
             Some(camera) => Ok(camera.as_mut()),
@@ -87,16 +106,62 @@ impl Bench {
     /// The flash, opened if need be.
     pub(super) fn flash(&mut self) -> Result<&mut FlashKind, FlashError> {
         if self.flash.is_none() {
-            self.flash = Some((self.source.flash)()?);
+            self.flash = Some((self.open_flash)()?);
         }
         Ok(self.flash.get_or_insert(FlashKind::None))
     }
 
-    /// Lets a camera that failed go, so that the next use opens it anew. One that was merely busy stays.
+    /// Goes through the exposure lock, unless this camera stands locked since it was opened.
+    pub(super) fn lock(&mut self) -> Result<LockReport, CameraError> {
+        if let Some(report) = &self.lock {
+            return Ok(report.clone());
+        }
+        let report = self.camera()?.lock()?;
+        // What is wrong is looked at again next time: the operator mends it at the camera.
+        if report.sentences(LockState::Wrong).is_empty() {
+            self.lock = Some(report.clone());
+        }
+        Ok(report)
+    }
+
+    /// After a failure nothing is known of the camera's settings any more. The driver itself stays: it knows
+    /// which camera it was, and how to find it again.
     pub(super) fn note_camera_error(&mut self, error: &CameraError) {
         if !matches!(error, CameraError::Busy(_)) {
+            self.lock = None;
+        }
+        // Nobody chose this one, so that any other will do.
+        if matches!(error, CameraError::NotFound { .. }) && self.chosen.is_none() {
             self.camera = None;
         }
+    }
+
+    /// Brings back whatever failed; says in which steps.
+    pub(super) fn recover(&mut self) -> Result<Vec<String>, CameraError> {
+        self.lock = None;
+        self.camera()?.recover()
+    }
+
+    /// Ends live view, if a camera is open.
+    pub(super) fn end_preview(&mut self) -> Result<(), CameraError> {
+        self.camera.as_mut().map_or(Ok(()), |camera| camera.end_preview())
+    }
+
+    /// Everything that the camera tells of itself.
+    pub(super) fn state(&mut self) -> Result<CameraState, CameraError> {
+        let lock = self.lock()?;
+        let camera = self.camera()?;
+        Ok(CameraState {
+            info: camera.info()?,
+            settings: camera.settings()?,
+            offered: camera.offered()?,
+            lock,
+        })
+    }
+
+    /// Has the lock gone through again at the next pair.
+    pub(super) fn unlock(&mut self) {
+        self.lock = None;
     }
 
     /// Lets a flash whose link failed go, so that the next use opens it anew.

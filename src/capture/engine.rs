@@ -4,59 +4,21 @@
 //! the terminal's main thread). What can be asked without waiting for a running pair (devices as last seen,
 //! the operator's confirmation) does not take that lock.
 
-use super::bench::{Bench, Devices, NO_FLASH, RigSource};
+use super::bench::{Bench, Devices, ListCameras, RigSource};
+use super::error::CaptureError;
 use super::events::{Events, Topic};
+use super::live::Live;
 use super::place::{CalibrationShot, CardPlace, PairPlace, Place, PlaceError, name_of};
 use super::prompt::Prompter;
 use super::run::Run;
-use crate::pair::{Limits, PairRecord, Verdict};
-use crate::progress::{Cancelled, Progress};
-use crate::rig::{CameraError, FlashError};
+use crate::pair::{Limits, Offered, PairRecord, Settings, Verdict};
+use crate::pipeline::stops::Earlier;
+use crate::progress::Progress;
+use crate::rig::{CameraError, CameraInfo, FlashError, LockReport};
 use crate::session::Session;
 use serde_json::json;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
-
-/// Why a pair was not stored.
-#[derive(Debug, thiserror::Error)]
-pub enum CaptureError {
-    /// The camera.
-    #[error(transparent)]
-    Camera(#[from] CameraError),
-    /// The flash.
-    #[error(transparent)]
-    Flash(#[from] FlashError),
-    /// There is no flash.
-    #[error("{NO_FLASH}")]
-    NoFlash,
-    /// The session folder.
-    #[error("the pair could not be stored: {0}")]
-    Place(#[from] PlaceError),
-    /// On request.
-    #[error(transparent)]
-    Cancelled(#[from] Cancelled),
-}
-
-impl CaptureError {
-    /// Stable name for scripts.
-    pub fn code(&self) -> &'static str {
-        match self {
-            CaptureError::Camera(CameraError::NotFound { .. }) => "camera_not_found",
-            CaptureError::Camera(CameraError::Claimed { .. }) => "camera_claimed",
-            CaptureError::Camera(CameraError::Busy(_)) => "camera_busy",
-            CaptureError::Camera(CameraError::Deadline { .. }) => "camera_deadline",
-            CaptureError::Camera(CameraError::Refused { .. }) => "camera_refused",
-            CaptureError::Camera(CameraError::Host(_)) => "camera_host_failed",
-            CaptureError::Flash(FlashError::Open { .. }) => "flash_not_opened",
-            CaptureError::Flash(FlashError::Silent { .. }) => "flash_silent",
-            CaptureError::Flash(FlashError::Refused { .. }) => "flash_refused",
-            CaptureError::Flash(FlashError::NotReady { .. }) => "flash_not_ready",
-            CaptureError::Flash(FlashError::Lost { .. }) => "flash_lost",
-            CaptureError::NoFlash => "flash_missing",
-            CaptureError::Place(_) => "session_not_written",
-            CaptureError::Cancelled(_) => "cancelled",
-        }
-    }
-}
 
 /// Called on each accepted pair before it is announced: the studio's operator walks on, a turntable turns.
 pub type AfterPair = Arc<dyn Fn(&PairRecord) + Send + Sync>;
@@ -72,9 +34,42 @@ pub fn words_on(record: &PairRecord) -> String {
     }
 }
 
+/// How often a pair is tried when a device fails that can be brought back.
+const ATTEMPTS: u32 = 3;
+
+/// Whether bringing the device back and shooting again may help; what only the operator can mend is told at once.
+fn worth_another_try(error: &CaptureError) -> bool {
+    match error {
+        CaptureError::Camera(error) => error.may_pass(),
+        CaptureError::Flash(error) => matches!(error, FlashError::Silent { .. } | FlashError::Lost { .. }),
+        _ => false,
+    }
+}
+
+fn told(steps: &[String]) -> String {
+    if steps.is_empty() { String::new() } else { format!(" ({})", steps.join(", ")) }
+}
+
+/// How the camera stands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraState {
+    /// Who it is.
+    pub info: CameraInfo,
+    /// Its settings as it reports them.
+    pub settings: Settings,
+    /// What its dials offer.
+    pub offered: Offered,
+    /// The exposure lock.
+    pub lock: LockReport,
+}
+
 /// The engine.
 pub struct Engine {
     bench: Mutex<Bench>,
+    list_cameras: ListCameras,
+    live: Live,
+    /// What the session last shot into (its folder) remembers of its pairs.
+    memory: Mutex<Option<(PathBuf, Earlier)>>,
     devices: Mutex<Devices>,
     prompter: Prompter,
     events: Events,
@@ -86,7 +81,10 @@ impl Engine {
     /// No device is opened before it is needed.
     pub fn new(source: RigSource, limits: Limits, events: Events) -> Self {
         Self {
-            bench: Mutex::new(Bench::new(source)),
+            bench: Mutex::new(Bench::new(source.camera, source.flash)),
+            list_cameras: source.cameras,
+            live: Live::default(),
+            memory: Mutex::default(),
             devices: Mutex::new(Devices::unknown()),
             prompter: Prompter::new(events.clone()),
             events,
@@ -142,7 +140,13 @@ impl Engine {
         after_pair: Option<&AfterPair>,
         progress: &Progress,
     ) -> Result<PairRecord, CaptureError> {
-        let mut place = PairPlace::new(session).map_err(PlaceError::from)?;
+        let mut memory = lock(&self.memory);
+        let earlier = match memory.take() {
+            Some((path, earlier)) if path == session.path() => earlier,
+            _ => Earlier::load(session, progress)?,
+        };
+        let (_, earlier) = memory.insert((session.path().to_owned(), earlier));
+        let mut place = PairPlace::new(session, earlier).map_err(PlaceError::from)?;
         self.shoot(&mut place, progress)?;
         let record = place.into_record().ok_or(PlaceError::Incomplete)?;
         if let Some(after_pair) = after_pair
@@ -176,16 +180,95 @@ impl Engine {
         Ok(shot)
     }
 
-    /// Shoots two frames into `place` and says how they were judged.
+    /// Shoots two frames into `place` and says how they were judged. A device that fails is brought back, and
+    /// both frames are shot again: a pair is never made of frames from before and after a failure.
     fn shoot(&self, place: &mut dyn Place, progress: &Progress) -> Result<Verdict, CaptureError> {
-        let mut bench = lock(&self.bench);
-        let outcome = Run::new(&mut bench, place, &self.prompter, &self.limits, progress).finish();
+        let mut bench = self.take_bench();
+        let mut outcome = Run::new(&mut bench, place, &self.prompter, &self.limits, progress).finish();
+        for _ in 1..ATTEMPTS {
+            let Err(error) = &outcome else { break };
+            if !worth_another_try(error) || progress.is_cancelled() {
+                break;
+            }
+            self.events.tell(Topic::Recovery, error.to_string(), json!({ "code": error.code() }));
+            progress.report("Bringing the devices back", 0, 1);
+            match bench.recover() {
+                Ok(steps) => {
+                    let words = format!("The camera is back{}.", told(&steps));
+                    self.events.tell(Topic::Recovery, words, json!({ "steps": steps }));
+                }
+                Err(error) => {
+                    outcome = Err(error.into());
+                    break;
+                }
+            }
+            outcome = Run::new(&mut bench, place, &self.prompter, &self.limits, progress).finish();
+        }
         if let Err(CaptureError::Camera(_) | CaptureError::Flash(_) | CaptureError::NoFlash) = outcome {
             let seen = bench.look();
             drop(bench);
             self.note_devices(seen);
         }
         outcome
+    }
+
+    /// The bench, once whoever has it is done; live view makes way.
+    fn take_bench(&self) -> MutexGuard<'_, Bench> {
+        let _reserved = self.live.reserve();
+        lock(&self.bench)
+    }
+
+    pub(super) fn live(&self) -> &Live {
+        &self.live
+    }
+
+    /// A live picture; `None` while the camera is in use.
+    pub(super) fn preview(&self) -> Option<Result<Vec<u8>, CameraError>> {
+        let mut bench = match self.bench.try_lock() {
+            Ok(bench) => bench,
+            Err(TryLockError::Poisoned(bench)) => bench.into_inner(),
+            Err(TryLockError::WouldBlock) => return None,
+        };
+        let picture = bench.camera().and_then(|camera| camera.preview());
+        if let Err(error) = &picture {
+            bench.note_camera_error(error);
+        }
+        Some(picture)
+    }
+
+    /// Ends live view at the camera, if there is one.
+    pub(super) fn end_preview(&self) {
+        let mut bench = lock(&self.bench);
+        if let Err(error) = bench.end_preview() {
+            tracing::warn!("live view could not be ended: {error}");
+            bench.note_camera_error(&error);
+        }
+    }
+
+    /// The cameras that can be opened now.
+    pub fn cameras(&self) -> Result<Vec<CameraInfo>, CameraError> {
+        (self.list_cameras)()
+    }
+
+    /// From now on, the camera on this port; says how the devices then stand.
+    pub fn choose_camera(&self, port: &str) -> Devices {
+        let mut bench = self.take_bench();
+        bench.choose(port);
+        let seen = bench.look();
+        drop(bench);
+        self.note_devices(seen.clone());
+        seen
+    }
+
+    /// How the camera stands: its settings, what its dials offer, and the exposure lock, gone through now.
+    pub fn camera_state(&self) -> Result<CameraState, CameraError> {
+        let mut bench = self.take_bench();
+        bench.unlock();
+        let state = bench.state();
+        if let Err(error) = &state {
+            bench.note_camera_error(error);
+        }
+        state
     }
 }
 

@@ -23,6 +23,8 @@ pub enum Topic {
     Pair,
     /// A pair of calibration frames is safe on disk.
     CalibrationShot,
+    /// A device failed and is brought back; the pair goes on.
+    Recovery,
     /// Something asked for could not be done.
     Trouble,
     /// A job changed.
@@ -41,6 +43,7 @@ impl Topic {
             Topic::PromptDone => "prompt_done",
             Topic::Pair => "pair",
             Topic::CalibrationShot => "calibration_shot",
+            Topic::Recovery => "recovery",
             Topic::Trouble => "trouble",
             Topic::Job => "job",
             Topic::Studio => "studio",

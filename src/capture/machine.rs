@@ -34,14 +34,14 @@ pub enum End {
 pub enum State {
     /// Nothing has been done yet.
     Ready,
+    /// The camera's settings are read and set.
+    Locking,
     /// The gate between camera and flash is being closed.
     Darkening,
     /// The shutter is released and the file fetched.
     Shooting(Frame),
     /// The controller is asked what it saw.
     Counting(Frame),
-    /// The file is decoded.
-    Checking(Frame),
     /// The gate is being opened for one sync.
     Arming,
     /// Both frames are compared.
@@ -57,14 +57,14 @@ pub enum State {
 pub enum Event {
     /// The pair is wanted.
     Go,
+    /// The camera stands as planned.
+    Locked,
     /// The gate is closed, or the operator has switched the flash off.
     Dark,
     /// A whole file came from the camera.
     FrameTaken,
     /// The pulses of the frame are known (or nobody counts them).
     Counted,
-    /// The decoder has spoken, for or against the file.
-    Checked,
     /// The gate is open for one sync, or the operator has switched the flash on.
     Armed,
     /// The checks have spoken.
@@ -77,24 +77,26 @@ pub enum Event {
     Cancel,
 }
 
-/// What is to be done. All but `RecordIntent`, `Disarm` and `RecordEnd` answer with one event.
+/// What is to be done. All but `RecordIntent`, `BeginCheck`, `Disarm` and `RecordEnd` answer with one event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect {
     /// Writes to the journal that a pair is about to be shot.
     RecordIntent,
+    /// Goes through the exposure lock and turns the dials to the plan.
+    Lock,
     /// Closes the gate, or asks the operator to switch the flash off.
     Darken,
     /// Releases the shutter and fetches the file.
     Shoot(Frame),
     /// Asks the controller what it saw during the frame.
     CountPulses(Frame),
-    /// Decodes the file.
-    Check(Frame),
+    /// Sets the decoder to work on the file; nobody waits for it before [`Effect::Judge`].
+    BeginCheck(Frame),
     /// Opens the gate for one sync, or asks the operator to switch the flash on.
     Arm,
     /// Closes the gate; best effort, nobody waits for it.
     Disarm,
-    /// Compares the frames.
+    /// Waits for the decoder and compares the frames.
     Judge,
     /// Commits both frames to the session under this verdict.
     Store(Verdict),
@@ -111,14 +113,16 @@ pub fn step(state: State, event: Event) -> (State, Vec<Effect>) {
         (S::Storing(_), E::Cancel) => (state, vec![]),
         (_, E::Cancel) => (S::Ended(End::Cancelled), vec![Do::Disarm, Do::RecordEnd(End::Cancelled)]),
         (_, E::Broke) => (S::Ended(End::Failed), vec![Do::Disarm, Do::RecordEnd(End::Failed)]),
-        (S::Ready, E::Go) => (S::Darkening, vec![Do::RecordIntent, Do::Darken]),
+        (S::Ready, E::Go) => (S::Locking, vec![Do::RecordIntent, Do::Lock]),
+        (S::Locking, E::Locked) => (S::Darkening, vec![Do::Darken]),
         (S::Darkening, E::Dark) => (S::Shooting(Off), vec![Do::Shoot(Off)]),
-        (S::Shooting(frame), E::FrameTaken) => (S::Counting(frame), vec![Do::CountPulses(frame)]),
-        (S::Counting(Off), E::Counted) => (S::Checking(Off), vec![Do::Check(Off)]),
-        (S::Checking(Off), E::Checked) => (S::Arming, vec![Do::Arm]),
+        // The unlit frame is checked while the lit one is shot.
+        (S::Shooting(frame), E::FrameTaken) => {
+            (S::Counting(frame), vec![Do::BeginCheck(frame), Do::CountPulses(frame)])
+        }
+        (S::Counting(Off), E::Counted) => (S::Arming, vec![Do::Arm]),
         (S::Arming, E::Armed) => (S::Shooting(On), vec![Do::Shoot(On)]),
-        (S::Counting(On), E::Counted) => (S::Checking(On), vec![Do::Disarm, Do::Check(On)]),
-        (S::Checking(On), E::Checked) => (S::Judging, vec![Do::Judge]),
+        (S::Counting(On), E::Counted) => (S::Judging, vec![Do::Disarm, Do::Judge]),
         (S::Judging, E::Judged(verdict)) => (S::Storing(verdict), vec![Do::Store(verdict)]),
         (S::Storing(verdict), E::Stored) => (S::Ended(End::Stored(verdict)), vec![]),
         (_, _) => (state, vec![]),
@@ -133,10 +137,10 @@ mod tests {
     fn any_event() -> impl Strategy<Value = Event> {
         prop_oneof![
             Just(Event::Go),
+            Just(Event::Locked),
             Just(Event::Dark),
             Just(Event::FrameTaken),
             Just(Event::Counted),
-            Just(Event::Checked),
             Just(Event::Armed),
             Just(Event::Judged(Verdict::Accepted)),
             Just(Event::Judged(Verdict::Rejected)),
@@ -149,11 +153,11 @@ mod tests {
     /// The event by which the world answers an effect when all goes well.
     fn answer(effect: Effect, verdict: Verdict) -> Option<Event> {
         match effect {
-            Effect::RecordIntent | Effect::Disarm | Effect::RecordEnd(_) => None,
+            Effect::RecordIntent | Effect::BeginCheck(_) | Effect::Disarm | Effect::RecordEnd(_) => None,
+            Effect::Lock => Some(Event::Locked),
             Effect::Darken => Some(Event::Dark),
             Effect::Shoot(_) => Some(Event::FrameTaken),
             Effect::CountPulses(_) => Some(Event::Counted),
-            Effect::Check(_) => Some(Event::Checked),
             Effect::Arm => Some(Event::Armed),
             Effect::Judge => Some(Event::Judged(verdict)),
             Effect::Store(_) => Some(Event::Stored),
@@ -177,7 +181,9 @@ mod tests {
             assert!(count(Effect::Shoot(frame)) <= 1, "{frame:?} shot twice: {effects:?}");
         }
         if let Some(store) = effects.iter().position(|e| matches!(e, Effect::Store(_))) {
-            for needed in [Effect::Check(Frame::Off), Effect::Check(Frame::On), Effect::Judge] {
+            for needed in
+                [Effect::Lock, Effect::BeginCheck(Frame::Off), Effect::BeginCheck(Frame::On), Effect::Judge]
+            {
                 assert!(at(needed).is_some_and(|n| n < store), "stored before {needed:?}: {effects:?}");
             }
             assert!(at(Effect::RecordIntent).is_some_and(|n| n < store));
@@ -254,14 +260,13 @@ mod tests {
         let mut done = Vec::new();
         for event in [
             Event::Go,
+            Event::Locked,
             Event::Dark,
             Event::FrameTaken,
             Event::Counted,
-            Event::Checked,
             Event::Armed,
             Event::FrameTaken,
             Event::Counted,
-            Event::Checked,
             Event::Judged(Verdict::Accepted),
             Event::Stored,
         ] {
@@ -274,15 +279,16 @@ mod tests {
             done,
             [
                 Effect::RecordIntent,
+                Effect::Lock,
                 Effect::Darken,
                 Effect::Shoot(Frame::Off),
+                Effect::BeginCheck(Frame::Off),
                 Effect::CountPulses(Frame::Off),
-                Effect::Check(Frame::Off),
                 Effect::Arm,
                 Effect::Shoot(Frame::On),
+                Effect::BeginCheck(Frame::On),
                 Effect::CountPulses(Frame::On),
                 Effect::Disarm,
-                Effect::Check(Frame::On),
                 Effect::Judge,
                 Effect::Store(Verdict::Accepted),
             ]

@@ -8,16 +8,21 @@
 mod bench;
 mod desk;
 mod engine;
+mod error;
 mod events;
+mod hands;
+mod live;
 mod machine;
 mod place;
 mod prompt;
 mod run;
 mod thumbnail;
 
-pub use bench::{DeviceState, Devices, FlashKind, OpenCamera, OpenFlash, RigSource};
+pub use bench::{DeviceState, Devices, FlashKind, ListCameras, OpenCamera, OpenFlash, RigSource};
 pub use desk::{Desk, DeskError, FlashCard, SceneFiles, SessionSummary, Works};
-pub use engine::{AfterPair, CaptureError, Engine, words_on};
+pub use engine::{AfterPair, CameraState, Engine, words_on};
+pub use error::CaptureError;
 pub use events::{Event, Events, Topic};
+pub use live::LivePicture;
 pub use machine::{Effect, End, Event as PairEvent, Frame, State, step};
 pub use place::{CalibrationShot, PlaceError, calibration_frames, calibration_shots};

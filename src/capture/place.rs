@@ -1,20 +1,38 @@
 //! Where a pair of frames goes: into the session as a pair, or beside it as a calibration shot.
 
-use crate::pair::{FlashRecord, FrameRecord, PairRecord, Reason, Settings};
-use crate::rig::ShotFile;
+use crate::pair::{Expected, FlashRecord, FrameRecord, PairRecord, Plan, Reason, Settings, Stop, Window};
+use crate::pipeline::stops::{Delivery, Earlier};
+use crate::rig::Shot;
 use crate::session::{self, Commit, NewFrame, NewPair, Session, SessionError, store};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
+/// One frame as the camera delivered it, with the settings out of its EXIF.
+pub(super) struct Delivered<'a> {
+    pub(super) shot: &'a Shot,
+    pub(super) settings: Settings,
+}
+
+impl<'a> Delivered<'a> {
+    fn new_frame(&self) -> NewFrame<'a> {
+        NewFrame {
+            bytes: &self.shot.raw.bytes,
+            original_name: &self.shot.raw.name,
+            settings: self.settings.clone(),
+            jpeg: self.shot.jpeg.as_ref().map(|jpeg| (jpeg.bytes.as_slice(), jpeg.name.as_str())),
+        }
+    }
+}
+
 /// Two frames, and what is known of them.
-pub(super) struct Shots {
-    pub(super) off: ShotFile,
-    pub(super) on: ShotFile,
-    pub(super) off_settings: Settings,
-    pub(super) on_settings: Settings,
+pub(super) struct Shots<'a> {
+    pub(super) off: Delivered<'a>,
+    pub(super) on: Delivered<'a>,
     pub(super) flash: Option<FlashRecord>,
     pub(super) reasons: Vec<Reason>,
+    /// By which later pairs of the same stop are known.
+    pub(super) stop: Option<Stop>,
 }
 
 /// Why two frames could not be stored.
@@ -40,6 +58,15 @@ pub enum PlaceError {
 pub(super) trait Place {
     /// Number by which the flash controller knows the shot; not 0.
     fn tag(&self) -> u32;
+    /// At which exposures the two frames are to be shot; as the camera stands if `None`.
+    fn plan(&self) -> Option<Plan>;
+    /// Makes what the camera shows the plan from now on.
+    fn adopt(&mut self, plan: Plan) -> Result<(), PlaceError>;
+    /// Where the object is in the frame; everywhere if `None`.
+    fn region(&self) -> Option<Window>;
+    /// What is known beforehand of a pair whose files have the digests `off` and `on` and whose pulse measured
+    /// `energy` counts.
+    fn expected<'a>(&'a self, off: &'a str, on: &'a str, energy: Option<f64>) -> Expected<'a>;
     /// Writes down that two frames are about to be shot.
     fn intend(&mut self) -> Result<(), PlaceError>;
     /// Stores both frames; on the disk when this returns.
@@ -51,13 +78,15 @@ pub(super) trait Place {
 /// The session's next pair.
 pub(super) struct PairPlace<'a> {
     session: &'a Session,
+    earlier: &'a mut Earlier,
     number: u32,
     stored: Option<PairRecord>,
 }
 
 impl<'a> PairPlace<'a> {
-    pub(super) fn new(session: &'a Session) -> Result<Self, SessionError> {
-        Ok(Self { session, number: session.next_pair_number()?, stored: None })
+    /// `earlier` remembers the session's pairs, and this one once it is stored.
+    pub(super) fn new(session: &'a Session, earlier: &'a mut Earlier) -> Result<Self, SessionError> {
+        Ok(Self { session, earlier, number: session.next_pair_number()?, stored: None })
     }
 
     /// The pair, once stored.
@@ -80,6 +109,22 @@ impl Place for PairPlace<'_> {
         self.number
     }
 
+    fn plan(&self) -> Option<Plan> {
+        self.session.manifest().plan
+    }
+
+    fn adopt(&mut self, plan: Plan) -> Result<(), PlaceError> {
+        Ok(self.session.set_plan(plan)?)
+    }
+
+    fn region(&self) -> Option<Window> {
+        self.session.manifest().region
+    }
+
+    fn expected<'b>(&'b self, off: &'b str, on: &'b str, energy: Option<f64>) -> Expected<'b> {
+        self.earlier.expecting(off, on, energy, Delivery::Camera)
+    }
+
     fn intend(&mut self) -> Result<(), PlaceError> {
         note(self.session, "pair_started", json!({ "number": self.number }))
     }
@@ -87,20 +132,16 @@ impl Place for PairPlace<'_> {
     fn store(&mut self, shots: Shots) -> Result<(), PlaceError> {
         let commit = self.session.commit_pair(NewPair {
             name: None,
-            off: NewFrame {
-                bytes: &shots.off.bytes,
-                original_name: &shots.off.name,
-                settings: shots.off_settings,
-            },
-            on: NewFrame {
-                bytes: &shots.on.bytes,
-                original_name: &shots.on.name,
-                settings: shots.on_settings,
-            },
+            off: shots.off.new_frame(),
+            on: shots.on.new_frame(),
             reasons: shots.reasons,
             flash: shots.flash,
         })?;
         let (Commit::Stored(record) | Commit::AlreadyThere(record)) = commit;
+        // The pair is safe; a signature that could not be kept is made again when it is needed.
+        if let Err(error) = self.earlier.add(self.session, &record, shots.stop) {
+            tracing::warn!("{error}");
+        }
         self.stored = Some(record);
         Ok(())
     }
@@ -202,7 +243,7 @@ impl<'a> CardPlace<'a> {
     }
 
     /// Fills a folder under a temporary name, then gives it its own.
-    fn write(&self, shot: &CalibrationShot, off: &[u8], on: &[u8]) -> Result<(), PlaceError> {
+    fn write(&self, shot: &CalibrationShot, shots: &Shots) -> Result<(), PlaceError> {
         let folder = shots_dir(self.session);
         std::fs::create_dir_all(&folder).map_err(disk(&folder))?;
         let aside = tempfile::Builder::new()
@@ -213,9 +254,10 @@ impl<'a> CardPlace<'a> {
             path: aside.path().join(SHOT_RECORD),
             why: e.to_string(),
         })?;
-        for (name, bytes) in
-            [(shot.off.file.as_str(), off), (shot.on.file.as_str(), on), (SHOT_RECORD, json.as_slice())]
-        {
+        let mut files = vec![(SHOT_RECORD, json.as_slice())];
+        files.extend(session::frame_files(&shot.off, &shots.off.new_frame()));
+        files.extend(session::frame_files(&shot.on, &shots.on.new_frame()));
+        for (name, bytes) in files {
             let file = aside.path().join(name);
             store::write_atomic(&file, bytes).map_err(disk(&file))?;
         }
@@ -238,6 +280,23 @@ impl Place for CardPlace<'_> {
         self.tag
     }
 
+    /// Near cards need less light than the object: they are shot as the operator set the camera.
+    fn plan(&self) -> Option<Plan> {
+        None
+    }
+
+    fn adopt(&mut self, _plan: Plan) -> Result<(), PlaceError> {
+        Ok(())
+    }
+
+    fn region(&self) -> Option<Window> {
+        None
+    }
+
+    fn expected<'b>(&'b self, _off: &'b str, _on: &'b str, _energy: Option<f64>) -> Expected<'b> {
+        Expected::default()
+    }
+
     fn intend(&mut self) -> Result<(), PlaceError> {
         note(self.session, "calibration_shot_started", json!({ "name": self.name }))
     }
@@ -246,12 +305,12 @@ impl Place for CardPlace<'_> {
         let shot = CalibrationShot {
             name: self.name.clone(),
             distance_m: self.distance_m,
-            reasons: shots.reasons,
-            off: frame("off", &shots.off, shots.off_settings),
-            on: frame("on", &shots.on, shots.on_settings),
-            flash: shots.flash,
+            reasons: shots.reasons.clone(),
+            off: session::frame_record("off", &shots.off.new_frame()),
+            on: session::frame_record("on", &shots.on.new_frame()),
+            flash: shots.flash.clone(),
         };
-        self.write(&shot, &shots.off.bytes, &shots.on.bytes)?;
+        self.write(&shot, &shots)?;
         note(self.session, "calibration_shot_stored", json!({ "name": self.name }))?;
         self.stored = Some(shot);
         Ok(())
@@ -259,15 +318,5 @@ impl Place for CardPlace<'_> {
 
     fn abandon(&mut self, why: &str) -> Result<(), PlaceError> {
         note(self.session, "calibration_shot_abandoned", json!({ "name": self.name, "why": why }))
-    }
-}
-
-fn frame(role: &str, file: &ShotFile, settings: Settings) -> FrameRecord {
-    FrameRecord {
-        file: session::original_file_name(role, &file.name),
-        original_name: file.name.clone(),
-        bytes: file.bytes.len() as u64,
-        blake3: store::digest(&file.bytes),
-        settings,
     }
 }

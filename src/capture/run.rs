@@ -1,44 +1,46 @@
 //! One pair on its way: does the effects of the state machine and feeds back what happened.
 
-use super::bench::{Bench, FlashKind};
-use super::engine::CaptureError;
+use super::bench::Bench;
+use super::error::CaptureError;
+use super::hands::{Hands, exposure_of};
 use super::machine::{Effect, End, Event, Frame, State, step};
-use super::place::{Place, PlaceError, Shots};
+use super::place::{Delivered, Place, PlaceError, Shots};
 use super::prompt::Prompter;
-use crate::codec::raw::{self, Photo};
-use crate::pair::{self, FlashRecord, FrameView, Limits, Reason, ReasonCode, Verdict};
+use crate::codec::raw::{self, Photo, RawError};
+use crate::pair::{FlashRecord, Limits, Plan, Reason, ReasonCode, Settings, Stop, Verdict};
+use crate::pipeline::pairs;
 use crate::progress::{Cancelled, Progress};
-use crate::rig::{Flash, FlashError, FlashShot, ShotFile};
+use crate::rig::{FlashShot, Shot};
+use crate::session::store;
 use std::collections::VecDeque;
-use std::time::{Duration, Instant};
+use std::sync::Arc;
+use std::thread::JoinHandle;
 
-/// How long the gate stays open for the lit frame. A tethered body may take seconds from the request to the
-/// release.
-const ARMED_FOR: Duration = Duration::from_secs(15);
-/// How long the controller's word on a sync may be under way after the camera has delivered the file.
-const SYNC_PATIENCE: Duration = Duration::from_millis(700);
-/// How long a flash may take to recycle before the pair is given up.
-const RECYCLE_PATIENCE: Duration = Duration::from_secs(30);
 /// Steps of a pair that progress counts.
 const STEPS: usize = 6;
 
-/// One frame on its way: the file, and what the decoder made of it.
+type Decoded = Result<Photo, RawError>;
+
+/// One frame on its way: the files, and the decoder at work on the raw, which gives its BLAKE3 too.
 struct Taken {
-    file: ShotFile,
-    photo: Option<Photo>,
+    shot: Arc<Shot>,
+    decoding: Option<JoinHandle<(Decoded, String)>>,
 }
 
 /// One pair on its way.
 pub(super) struct Run<'a> {
-    bench: &'a mut Bench,
+    hands: Hands<'a>,
     place: &'a mut dyn Place,
-    prompter: &'a Prompter,
     limits: &'a Limits,
-    progress: &'a Progress,
+    /// What the camera told before the pair.
+    told: Settings,
+    plan: Option<Plan>,
     off: Option<Taken>,
     on: Option<Taken>,
+    settings: [Settings; 2],
     flash: Option<FlashRecord>,
     reasons: Vec<Reason>,
+    stop: Option<Stop>,
     error: Option<CaptureError>,
 }
 
@@ -51,15 +53,17 @@ impl<'a> Run<'a> {
         progress: &'a Progress,
     ) -> Self {
         Self {
-            bench,
+            hands: Hands { bench, prompter, progress },
             place,
-            prompter,
             limits,
-            progress,
+            told: Settings::default(),
+            plan: None,
             off: None,
             on: None,
+            settings: Default::default(),
             flash: None,
             reasons: Vec::new(),
+            stop: None,
             error: None,
         }
     }
@@ -70,7 +74,7 @@ impl<'a> Run<'a> {
         let mut waiting = VecDeque::from(effects);
         let mut cancelled = false;
         while let Some(effect) = waiting.pop_front() {
-            if !cancelled && self.progress.is_cancelled() {
+            if !cancelled && self.hands.progress.is_cancelled() {
                 cancelled = true;
                 let (next, effects) = step(state, Event::Cancel);
                 if next != state {
@@ -107,52 +111,48 @@ impl<'a> Run<'a> {
     fn perform(&mut self, effect: Effect) -> Result<Option<Event>, CaptureError> {
         match effect {
             Effect::RecordIntent => self.place.intend().map(|()| None).map_err(Into::into),
+            Effect::Lock => {
+                self.report("Making sure that the camera stands as planned", 0);
+                self.lock()?;
+                Ok(Some(Event::Locked))
+            }
             Effect::Darken => {
-                self.progress.report("Making sure that the flash stays dark", 0, STEPS);
-                self.darken()?;
+                self.report("Making sure that the flash stays dark", 0);
+                self.hands.darken()?;
                 Ok(Some(Event::Dark))
             }
             Effect::Shoot(frame) => {
-                let (words, done) = match frame {
-                    Frame::Off => ("Taking the frame without flash", 1),
-                    Frame::On => ("Taking the frame with flash", 3),
-                };
-                self.progress.report(words, done, STEPS);
-                let file = self.release()?;
-                *self.slot(frame) = Some(Taken { file, photo: None });
+                match frame {
+                    Frame::Off => self.report("Taking the frame without flash", 1),
+                    Frame::On => self.report("Taking the frame with flash", 3),
+                }
+                self.turn_dials(frame)?;
+                let shot = Arc::new(self.hands.release()?);
+                *self.slot(frame) = Some(Taken { shot, decoding: None });
                 Ok(Some(Event::FrameTaken))
             }
+            Effect::BeginCheck(frame) => self.begin_check(frame).map(|()| None),
             Effect::CountPulses(frame) => {
                 self.count(frame)?;
                 Ok(Some(Event::Counted))
             }
-            Effect::Check(frame) => {
-                if frame == Frame::On {
-                    self.progress.report("Checking both frames", 4, STEPS);
-                }
-                self.check(frame);
-                Ok(Some(Event::Checked))
-            }
             Effect::Arm => {
-                self.progress.report("Getting the flash ready", 2, STEPS);
-                self.arm()?;
+                self.report("Getting the flash ready", 2);
+                self.hands.arm(self.place.tag())?;
                 Ok(Some(Event::Armed))
             }
             Effect::Disarm => {
-                if let Ok(FlashKind::Controller(flash)) = self.bench.flash()
-                    && let Err(error) = flash.disarm()
-                {
-                    // The gate was opened once with a time to live and closes by itself.
-                    tracing::warn!("the flash could not be disarmed: {error}");
-                    self.bench.note_flash_error(&error);
-                }
+                self.hands.disarm();
                 Ok(None)
             }
-            Effect::Judge => Ok(Some(Event::Judged(self.judge()))),
+            Effect::Judge => {
+                self.report("Checking both frames", 4);
+                Ok(Some(Event::Judged(self.judge()?)))
+            }
             Effect::Store(_) => {
-                self.progress.report("Storing the pair", 5, STEPS);
+                self.report("Storing the pair", 5);
                 self.store()?;
-                self.progress.report("Stored", STEPS, STEPS);
+                self.report("Stored", STEPS);
                 Ok(Some(Event::Stored))
             }
             Effect::RecordEnd(end) => {
@@ -169,6 +169,10 @@ impl<'a> Run<'a> {
         }
     }
 
+    fn report(&self, words: &str, done: usize) {
+        self.hands.progress.report(words, done, STEPS);
+    }
+
     fn slot(&mut self, frame: Frame) -> &mut Option<Taken> {
         match frame {
             Frame::Off => &mut self.off,
@@ -176,56 +180,50 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn release(&mut self) -> Result<ShotFile, CaptureError> {
-        let shot = self.bench.camera().and_then(|camera| camera.shoot());
-        shot.map(|shot| shot.raw).map_err(|error| {
-            self.bench.note_camera_error(&error);
-            error.into()
-        })
-    }
-
-    /// Closes the gate and forgets the syncs of the past.
-    fn darken(&mut self) -> Result<(), CaptureError> {
-        // Without a camera nobody should be sent to switch a flash.
-        if let Err(error) = self.bench.camera() {
-            return Err(error.into());
+    /// Reads the camera and settles the plan: the session's, or else what the dials show now.
+    fn lock(&mut self) -> Result<(), CaptureError> {
+        self.told = self.hands.lock()?;
+        self.plan = self.place.plan();
+        if self.plan.is_none()
+            && let Some(exposure) = exposure_of(&self.told)
+        {
+            let plan = Plan { off: exposure, on: exposure };
+            self.place.adopt(plan)?;
+            self.plan = Some(plan);
         }
-        let done = match self.bench.flash()? {
-            FlashKind::Controller(flash) => {
-                flash.disarm().and_then(|()| flash.syncs(Duration::ZERO).map(drop))
-            }
-            FlashKind::Manual => {
-                self.prompter.ask("Switch the flash off, then confirm.", self.progress)?;
-                Ok(())
-            }
-            FlashKind::None => return Err(CaptureError::NoFlash),
-        };
-        done.map_err(|error| self.flash_error(error))
+        Ok(())
     }
 
-    fn arm(&mut self) -> Result<(), CaptureError> {
-        let tag = self.place.tag();
-        let done = match self.bench.flash()? {
-            FlashKind::Controller(flash) => arm_when_recycled(flash.as_mut(), tag, self.progress)?,
-            FlashKind::Manual => {
-                self.prompter.ask("Switch the flash on, then confirm.", self.progress)?;
-                Ok(())
-            }
-            FlashKind::None => return Err(CaptureError::NoFlash),
+    fn turn_dials(&mut self, frame: Frame) -> Result<(), CaptureError> {
+        let Some(plan) = self.plan else { return Ok(()) };
+        let wanted = match frame {
+            Frame::Off => plan.off,
+            Frame::On => plan.on,
         };
-        done.map_err(|error| self.flash_error(error))
+        self.hands.turn_dials(&self.told, &wanted)?;
+        self.told = Settings {
+            shutter: Some(wanted.shutter),
+            aperture: Some(wanted.aperture),
+            iso: Some(wanted.iso),
+            ..std::mem::take(&mut self.told)
+        };
+        Ok(())
     }
 
-    fn flash_error(&mut self, error: FlashError) -> CaptureError {
-        self.bench.note_flash_error(&error);
-        error.into()
+    /// Decodes a frame on a thread of its own, while the next one is shot.
+    fn begin_check(&mut self, frame: Frame) -> Result<(), CaptureError> {
+        let Some(taken) = self.slot(frame) else { return Ok(()) };
+        let shot = taken.shot.clone();
+        let work = move || (raw::decode(&shot.raw.bytes, &shot.raw.name), store::digest(&shot.raw.bytes));
+        let decoding = std::thread::Builder::new().name("frame check".into()).spawn(work);
+        taken.decoding = Some(decoding.map_err(CaptureError::NoThread)?);
+        Ok(())
     }
 
     /// Asks the controller what it saw since the last count. It reports dark syncs too, so that silence
     /// means that the contact never closed.
     fn count(&mut self, frame: Frame) -> Result<(), CaptureError> {
-        let FlashKind::Controller(flash) = self.bench.flash()? else { return Ok(()) };
-        let syncs = flash.syncs(SYNC_PATIENCE).map_err(|error| self.flash_error(error))?;
+        let Some(syncs) = self.hands.count()? else { return Ok(()) };
         let record = self.flash.get_or_insert_default();
         let lit: Vec<&FlashShot> = syncs.iter().filter(|s| s.triggered).collect();
         let pulses = u32::try_from(lit.len()).unwrap_or(u32::MAX);
@@ -255,24 +253,33 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    fn check(&mut self, frame: Frame) {
-        let Some(taken) = self.slot(frame) else { return };
-        match raw::decode(&taken.file.bytes, &taken.file.name) {
-            Ok(photo) => taken.photo = Some(photo),
-            Err(error) => self.reasons.push(error.reason()),
-        }
+    /// The decoder's outcome for one frame, and the file's digest.
+    fn decoded(&mut self, frame: Frame) -> Result<(Decoded, String), CaptureError> {
+        let taken = self.slot(frame).as_mut().ok_or(PlaceError::Incomplete)?;
+        let name = taken.shot.raw.name.clone();
+        let decoding = taken.decoding.take().ok_or(PlaceError::Incomplete)?;
+        // A decoder that stumbles over a file has found it unreadable.
+        Ok(decoding.join().unwrap_or_else(|_| {
+            (
+                Err(RawError::Decoder { what: name, message: "the decoder stumbled over it".into() }),
+                String::new(),
+            )
+        }))
     }
 
-    fn judge(&mut self) -> Verdict {
-        let photos = (
-            self.off.as_ref().and_then(|t| t.photo.as_ref()),
-            self.on.as_ref().and_then(|t| t.photo.as_ref()),
-        );
-        // A frame that could not be decoded has left its reason already.
-        if let (Some(off), Some(on)) = photos {
-            self.reasons.extend(pair::judge(view(off), view(on), self.limits));
+    fn judge(&mut self) -> Result<Verdict, CaptureError> {
+        let ((off, off_digest), (on, on_digest)) = (self.decoded(Frame::Off)?, self.decoded(Frame::On)?);
+        let energy = self.flash.as_ref().and_then(|flash| flash.energy_counts);
+        let mut expected = self.place.expected(&off_digest, &on_digest, energy);
+        expected.plan = self.plan.as_ref();
+        if let (Some(window), Ok(photo)) = (self.place.region(), &off) {
+            expected.region = Some(window.sites(photo.mosaic.dn.width(), photo.mosaic.dn.height()));
         }
-        if self.reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected }
+        let judgement = pairs::judge(&off, &on, &expected, self.limits);
+        self.reasons.extend(judgement.reasons);
+        self.stop = judgement.stop;
+        self.settings = [off, on].map(|photo| photo.map(|p| p.settings).unwrap_or_default());
+        Ok(if self.reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected })
     }
 
     fn store(&mut self) -> Result<(), CaptureError> {
@@ -280,37 +287,15 @@ impl<'a> Run<'a> {
             // The machine stores only after both frames were taken.
             return Err(PlaceError::Incomplete.into());
         };
+        let [off_settings, on_settings] = std::mem::take(&mut self.settings);
         self.place.store(Shots {
-            off: off.file,
-            on: on.file,
-            off_settings: off.photo.map(|p| p.settings).unwrap_or_default(),
-            on_settings: on.photo.map(|p| p.settings).unwrap_or_default(),
+            off: Delivered { shot: &off.shot, settings: off_settings },
+            on: Delivered { shot: &on.shot, settings: on_settings },
             flash: self.flash.take(),
             reasons: std::mem::take(&mut self.reasons),
+            stop: self.stop.take(),
         })?;
         Ok(())
-    }
-}
-
-fn view(photo: &Photo) -> FrameView<'_> {
-    FrameView { mosaic: &photo.mosaic, settings: &photo.settings }
-}
-
-/// Arms, waiting for a flash that says how long it still recycles.
-fn arm_when_recycled(
-    flash: &mut dyn Flash,
-    tag: u32,
-    progress: &Progress,
-) -> Result<Result<(), FlashError>, Cancelled> {
-    let end = Instant::now() + RECYCLE_PATIENCE;
-    loop {
-        match flash.arm(tag, ARMED_FOR) {
-            Err(FlashError::NotReady { wait_ms }) if Instant::now() < end => {
-                progress.check()?;
-                std::thread::sleep(Duration::from_millis(wait_ms.clamp(10, 250)));
-            }
-            outcome => return Ok(outcome),
-        }
     }
 }
 
@@ -324,7 +309,8 @@ fn what_was_wrong_with_the_pulse(syncs: &[FlashShot], lit: &[&FlashShot]) -> Opt
                 .into(),
         ),
         (_, 0) => Some(
-            "The flash controller did not let the flash fire in the frame with flash; take the pair again.".into(),
+            "The flash controller did not let the flash fire in the frame with flash; take the pair again."
+                .into(),
         ),
         (_, n) => Some(format!(
             "The flash fired {n} times during the frame with flash; switch off pre-flash and multi-flash modes."

@@ -1,6 +1,7 @@
 //! `unlit calibrate`: measures the rig from calibration shots.
 
 use super::{CliError, CliResult, Exit, progress_bar};
+use crate::pipeline;
 use crate::pipeline::flash::{CardFacts, CardFiles, calibrate};
 use crate::session::Session;
 use std::path::PathBuf;
@@ -10,6 +11,18 @@ use std::path::PathBuf;
 pub(super) enum Calibrate {
     /// The flash, from shots of a white card that fills the frame and faces the camera.
     Flash(FlashArgs),
+    /// Where the sensor clips, from deliberately blown frames: one at every ISO in use.
+    Saturation(SaturationArgs),
+}
+
+/// Arguments of `unlit calibrate saturation`.
+#[derive(clap::Args)]
+pub(super) struct SaturationArgs {
+    /// Session folder.
+    session: PathBuf,
+    /// Raw files of a bright, even surface, over-exposed by three stops or more.
+    #[arg(required = true)]
+    frames: Vec<PathBuf>,
 }
 
 /// Arguments of `unlit calibrate flash`.
@@ -51,7 +64,31 @@ fn shot(text: &str) -> Result<CardFiles, String> {
 }
 
 pub(super) fn run(what: &Calibrate) -> CliResult {
-    let Calibrate::Flash(args) = what;
+    match what {
+        Calibrate::Flash(args) => flash(args),
+        Calibrate::Saturation(args) => saturation(args),
+    }
+}
+
+fn saturation(args: &SaturationArgs) -> CliResult {
+    let session = Session::open(&args.session).map_err(CliError::new)?;
+    let (bar, progress) = progress_bar::watched();
+    let entries = pipeline::saturation::calibrate(&session, &args.frames, &progress);
+    bar.finish_and_clear();
+    for entry in entries.map_err(CliError::new)? {
+        let isos: Vec<String> = entry.isos.iter().map(f64::to_string).collect();
+        let [[a, b], [c, d]] = entry.saturation;
+        println!(
+            "{} ISO {}: {a:.0} {b:.0} / {c:.0} {d:.0} DN, {}",
+            entry.model,
+            isos.join(", "),
+            entry.origin
+        );
+    }
+    Ok(Exit::Success)
+}
+
+fn flash(args: &FlashArgs) -> CliResult {
     let session = Session::open(&args.session).map_err(CliError::new)?;
     let facts = CardFacts {
         target_reflectance: args.target_reflectance,

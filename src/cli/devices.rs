@@ -5,9 +5,9 @@ use super::CliError;
 use crate::capture::{AfterPair, Events, FlashKind, RigSource, Topic};
 use crate::http::{StageOrder, StudioBody, StudioControl};
 use crate::progress::Progress;
-use crate::rig::camera::HostedCamera;
+use crate::rig::camera::{self, HostedCamera};
 use crate::rig::flash::{self, SerialFlash};
-use crate::rig::{CameraError, Flash, FlashError};
+use crate::rig::{CameraError, CameraInfo, Flash, FlashError};
 use crate::studio::camera::CameraServer;
 use crate::studio::world::{Stage, World};
 use crate::studio::{Board, BoardOptions};
@@ -35,16 +35,23 @@ impl DeviceArgs {
         if self.studio {
             let studio = Studio::start()?;
             let (port, device) = (studio.camera.port(), studio.board.device().to_owned());
+            let simulated = vec![CameraInfo {
+                model: "Canon EOS 5DS (simulated)".into(),
+                port: port.clone(),
+                serial: None,
+            }];
             let source = RigSource {
-                camera: Box::new(move || Ok(Box::new(HostedCamera::open(Some(&port))?))),
+                camera: Box::new(move |_| Ok(Box::new(HostedCamera::open(Some(&port))?))),
+                cameras: Box::new(move || Ok(simulated.clone())),
                 flash: Box::new(move || controller(&device)),
             };
             return Ok((source, Some(Arc::new(studio))));
         }
         let port = self.camera.clone();
-        let camera = Box::new(move || -> Result<Box<dyn crate::rig::Camera>, CameraError> {
-            Ok(Box::new(HostedCamera::open(port.as_deref())?))
-        });
+        let camera =
+            Box::new(move |chosen: Option<&str>| -> Result<Box<dyn crate::rig::Camera>, CameraError> {
+                Ok(Box::new(HostedCamera::open(chosen.or(port.as_deref()))?))
+            });
         let flash: Box<dyn Fn() -> Result<FlashKind, FlashError> + Send> = match self.flash.as_deref() {
             Some("manual") => Box::new(|| Ok(FlashKind::Manual)),
             Some("none") => Box::new(|| Ok(FlashKind::None)),
@@ -54,7 +61,7 @@ impl DeviceArgs {
             }
             None => Box::new(first_controller),
         };
-        Ok((RigSource { camera, flash }, None))
+        Ok((RigSource { camera, cameras: Box::new(camera::list), flash }, None))
     }
 
     /// Whether the operator switches the flash.

@@ -1,10 +1,13 @@
 //! `unlit inspect`: the true sensor values of a raw file.
 
 use super::{CliError, CliResult, Exit};
-use crate::codec::raw::{self, Photo};
+use crate::codec::raw::Photo;
 use crate::pair::Settings;
 use crate::photometry::LevelSource;
 use crate::photometry::inspect::{self, ChannelFigures, Inspection, Region};
+use crate::photometry::saturation::SaturationTable;
+use crate::pipeline::saturation;
+use crate::session::Session;
 use clap::Args;
 use serde::Serialize;
 use std::fmt::Display;
@@ -18,6 +21,9 @@ pub(super) struct Inspect {
     /// Region to measure, X,Y,W,H in pixels of the active area from its top left corner; all of it if absent.
     #[arg(long, value_name = "X,Y,W,H")]
     roi: Option<Roi>,
+    /// Session whose own saturation table is used, as measured by `unlit calibrate saturation`.
+    #[arg(long)]
+    session: Option<PathBuf>,
     /// Everything as JSON.
     #[arg(long)]
     json: bool,
@@ -50,7 +56,14 @@ struct Output<'a> {
 }
 
 pub(super) fn run(arguments: &Inspect) -> CliResult {
-    let photo = raw::read(&arguments.file).map_err(CliError::new)?;
+    let measured = match &arguments.session {
+        Some(path) => {
+            let session = Session::open_shared(path).map_err(CliError::new)?;
+            saturation::load(&session).map_err(CliError::new)?
+        }
+        None => SaturationTable::default(),
+    };
+    let photo = saturation::read(&arguments.file, &measured).map_err(CliError::new)?;
     let inspection =
         inspect::inspect(&photo.mosaic, arguments.roi.map(|roi| roi.0)).map_err(CliError::new)?;
     if arguments.json {
@@ -173,7 +186,11 @@ fn source(source: LevelSource) -> &'static str {
         LevelSource::Measured => "calibration shots",
         LevelSource::MaskedPixels => "the frame's masked pixels",
         LevelSource::FileTag => "the file's tag",
-        LevelSource::DecoderTable => "the decoder's table (a fallback: measure it with a blown frame)",
+        LevelSource::BodyTable => "published measurements of this body",
+        LevelSource::DecoderTable => "the decoder's table (a fallback)",
+        LevelSource::DecoderMargin => {
+            "the decoder's table less 15 % (a fallback: measure it with `unlit calibrate saturation`)"
+        }
     }
 }
 

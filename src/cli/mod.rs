@@ -4,6 +4,7 @@ mod calibrate;
 mod camera_host;
 mod decode_host;
 mod devices;
+mod doctor;
 mod evaluate;
 mod import;
 mod import_pairs;
@@ -88,6 +89,9 @@ enum Command {
     Process(process::Args),
     /// Compares a session's reflectance with a known truth.
     Evaluate(evaluate::Args),
+    /// Looks at what cameras and flash controllers need on this machine, and says what to do; exit code 1 if
+    /// anything keeps them from working.
+    Doctor(doctor::Args),
     /// Prints the OpenAPI document of `unlit serve`.
     Openapi,
     /// The simulated studio's own housekeeping.
@@ -113,6 +117,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
         Command::Calibrate(what) => calibrate::run(&what),
         Command::Process(args) => process::run(&args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::Doctor(args) => doctor::run(&args),
         Command::Openapi => openapi::run(),
         Command::Studio(command) => studio::run(command),
         Command::CameraHost(args) => camera_host::run(&args),

@@ -1,6 +1,7 @@
 //! What goes over the wire. Views of the domain's types, with links; the domain's own types stay free of HTTP.
 
 use crate::capture::{self, SessionSummary};
+use crate::http::camera_bodies::{PlanBody, WindowBody};
 use crate::jobs;
 use crate::pair::{self, Settings};
 use serde::{Deserialize, Serialize};
@@ -63,6 +64,12 @@ pub(super) struct SessionBody {
     has_scene: bool,
     /// Whether a flash calibration is there.
     has_flash_calibration: bool,
+    /// At which exposures its pairs are shot; absent before the first pair.
+    exposure: Option<PlanBody>,
+    /// Where the object is in the frame; absent: the whole frame.
+    region: Option<WindowBody>,
+    /// Settings that the camera does not tell and the operator has confirmed.
+    confirmed: Vec<String>,
     /// Finished results.
     results: Vec<ResultBody>,
     /// Why nothing else is known of it, if so.
@@ -88,6 +95,9 @@ impl From<SessionSummary> for SessionBody {
             accepted: s.accepted,
             has_scene: s.has_scene,
             has_flash_calibration: s.has_flash_calibration,
+            exposure: s.plan.map(Into::into),
+            region: s.region.map(Into::into),
+            confirmed: s.confirmed,
             problem: s.problem,
         }
     }

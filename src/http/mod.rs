@@ -6,6 +6,7 @@
 //! problem+json (see `problem.rs`); who may ask at all is decided in `guard.rs`.
 
 mod bodies;
+mod camera_bodies;
 mod guard;
 mod page;
 mod problem;

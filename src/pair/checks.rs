@@ -1,13 +1,17 @@
 //! What is wrong with a pair, each time with a figure, the limit it broke and a sentence.
 //!
-//! Takes the two frames as the sensor gave them and their settings, gives the reasons to reject the pair,
-//! none if it is good. Pure: the same code judges a pair just shot and one that came in as files. Files
-//! that could not be decoded never get here; their error is their reason.
+//! Takes the two frames as the sensor gave them, their settings and what was expected of them; gives the
+//! reasons to reject the pair, none if it is good, and the signature of its stop for later ones. Pure: the same
+//! code judges a pair just shot and one that came in as files. Files that could not be decoded never get here;
+//! their error is their reason.
 
 use super::limits::Limits;
-use super::rise::{self, Block};
-use super::{Reason, ReasonCode, Settings, motion};
+use super::plan::Plan;
+use super::stop::Stop;
+use super::{Reason, ReasonCode, Settings, agreement, light, motion, survey};
 use crate::photometry::Mosaic;
+use crate::photometry::inspect::Region;
+use std::collections::BTreeMap;
 
 /// One frame as the checks see it.
 #[derive(Clone, Copy, Debug)]
@@ -18,97 +22,134 @@ pub struct FrameView<'a> {
     pub settings: &'a Settings,
 }
 
-/// What is known beforehand of how the pair should be.
+/// What is known beforehand of how the pair should be; by default nothing.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Expected<'a> {
-    /// The settings that were asked for; absent ones are not compared.
-    pub plan: Option<&'a Settings>,
-    /// An earlier accepted pair (unlit, lit) from the very same stop: its flash light is what this pair's
-    /// must reach.
-    pub earlier: Option<(&'a Mosaic, &'a Mosaic)>,
+    /// The exposures that were asked for.
+    pub plan: Option<&'a Plan>,
+    /// Where the object is; without it, everywhere.
+    pub region: Option<Region>,
+    /// Signatures of earlier accepted pairs, from any stops.
+    pub earlier: &'a [Stop],
+    /// What the flash controller measured of this pulse and of earlier ones.
+    pub energy: Option<EnergyExpectation>,
+    /// What these two files must not be.
+    pub files: Option<Files<'a>>,
+}
+
+/// Energy of a pulse against those before it, in the controller's own counts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EnergyExpectation {
+    /// Of this pair's pulse.
+    pub counts: f64,
+    /// Median of the session's earlier accepted pairs.
+    pub usual: f64,
+}
+
+/// One of a pair's two frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// Without flash.
+    Unlit,
+    /// With flash.
+    Lit,
+}
+
+/// Files by their BLAKE3 (hexadecimal), to tell a frame that was delivered twice.
+#[derive(Clone, Copy, Debug)]
+pub struct Files<'a> {
+    /// The unlit frame's.
+    pub off: &'a str,
+    /// The lit frame's.
+    pub on: &'a str,
+    /// Frames of the session's pairs: what each was, and in which pair.
+    pub earlier: &'a BTreeMap<String, (Role, u32)>,
+    /// Whether several pairs may share one unlit frame: photographers who shoot to a card may do so, a camera
+    /// that just released may not.
+    pub may_share_unlit: bool,
+}
+
+/// What the checks found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Judgement {
+    /// Why the pair must not be used; none if it is good.
+    pub reasons: Vec<Reason>,
+    /// The stop's signature, to be kept if the pair is accepted; absent where the frames do not match or are too
+    /// dark to know a stop by.
+    pub stop: Option<Stop>,
 }
 
 /// Judges a pair from itself alone.
 pub fn judge(off: FrameView, on: FrameView, limits: &Limits) -> Vec<Reason> {
-    judge_expecting(off, on, &Expected::default(), limits)
+    judge_expecting(off, on, &Expected::default(), limits).reasons
 }
 
 /// Judges a pair from itself and from what was expected of it.
-pub fn judge_expecting(off: FrameView, on: FrameView, expected: &Expected, limits: &Limits) -> Vec<Reason> {
-    let mut reasons = changed_settings(off.settings, on.settings, "the lit frame", "the unlit frame", limits);
-    if let Some(plan) = expected.plan {
-        reasons.extend(changed_settings(plan, on.settings, "the lit frame", "the plan", limits));
+pub fn judge_expecting(off: FrameView, on: FrameView, expected: &Expected, limits: &Limits) -> Judgement {
+    if let Some(repeated) = expected.files.and_then(repeated) {
+        // It is no frame of this pair, so that nothing else about it is worth telling.
+        return Judgement { reasons: vec![repeated], stop: None };
     }
+    let mut reasons = agreement::differences(off.settings, on.settings, expected.plan, limits);
     if let Some(reason) = changed_size(off.mosaic, on.mosaic) {
         reasons.push(reason);
-        return reasons;
+        return Judgement { reasons, stop: None };
     }
-    reasons.extend(overexposed(off.mosaic, on.mosaic, limits));
+    let same_settings = reasons.is_empty();
+    let whole = whole_frame(on.mosaic);
+    let outside = expected.region.and_then(|region| region_outside(region, whole));
+    let region = if outside.is_some() { None } else { expected.region };
+    reasons.extend(outside);
 
-    let same_settings = reasons.iter().all(|r| r.code != ReasonCode::SettingsChanged);
-    let blocks = rise::blocks(off.mosaic, on.mosaic);
-    if let Some(reason) = misfire(&blocks, limits) {
+    let scale = agreement::room_ratio(expected.plan) as f32;
+    let survey = survey::survey(off.mosaic, on.mosaic, scale, region.unwrap_or(whole));
+    reasons.extend(light::overexposed(&survey, limits, region.is_some()));
+    if let Some(reason) = light::misfire(&survey, limits, region.is_some()) {
         reasons.push(reason);
-        return reasons;
+        return Judgement { reasons, stop: None };
     }
-    reasons.extend(weak(&blocks, on.mosaic, limits));
-    if let Some((earlier_off, earlier_on)) = expected.earlier {
-        reasons.extend(weaker_than(&blocks, &rise::blocks(earlier_off, earlier_on), limits));
-    }
-    let moved = moved(off.mosaic, on.mosaic, limits);
+    let weak = light::weak(&survey, on.mosaic, limits);
+    let moved = moved(&survey.cells, limits);
     // Shifted edges darken too, and so does a shorter exposure: then nothing is known of the room's light.
-    if moved.is_none() && same_settings {
-        reasons.extend(ambient_changed(&blocks, limits));
-    }
+    let ambient =
+        if moved.is_none() && same_settings { light::ambient_changed(&survey, limits) } else { None };
+    let black = [off, on].map(|f| f.mosaic.levels.black.concat().into_iter().sum::<f32>() / 4.0);
+    let gain = agreement::flash_gain(on.settings, expected.plan);
+    let stop = Stop::new(&survey.cells, black, scale, gain);
+    // What moved, or was lit by another room, shows no flash light to compare.
+    let comparable = same_settings && weak.is_none() && moved.is_none() && ambient.is_none();
+    let before = stop.as_ref().filter(|_| comparable);
+    let before = before.and_then(|stop| stop.flash_against_earlier(expected.earlier, limits));
+    reasons.extend(weak);
+    reasons.extend(before.and_then(|share| light::weaker_than_before(share, limits)));
+    reasons.extend(expected.energy.and_then(|e| light::weak_pulse(e.counts / e.usual, limits)));
     reasons.extend(moved);
-    reasons
+    reasons.extend(ambient);
+    Judgement { reasons, stop }
 }
 
-fn reason(code: ReasonCode, figure: f64, limit: f64, sentence: String) -> Reason {
-    Reason { code, figure, limit, sentence }
-}
-
-/// Differences between the settings that should be (`wanted`, called `there`) and those that are.
-fn changed_settings(
-    wanted: &Settings,
-    found: &Settings,
-    here: &str,
-    there: &str,
-    limits: &Limits,
-) -> Vec<Reason> {
-    let advice = "lock the exposure (mode M, fixed ISO and white balance) and shoot the pair again";
-    let code = ReasonCode::SettingsChanged;
-    let numbers = [
-        ("shutter time", wanted.shutter.map(|v| v.0), found.shutter.map(|v| v.0)),
-        ("aperture", wanted.aperture.map(|v| v.0), found.aperture.map(|v| v.0)),
-        ("ISO", wanted.iso.map(|v| v.0), found.iso.map(|v| v.0)),
-        ("focal length", wanted.focal_length_mm, found.focal_length_mm),
-    ];
-    let words = [
-        ("camera model", &wanted.model, &found.model),
-        ("camera serial number", &wanted.serial, &found.serial),
-        ("lens", &wanted.lens, &found.lens),
-        ("white balance", &wanted.white_balance, &found.white_balance),
-        ("exposure program", &wanted.exposure_program, &found.exposure_program),
-    ];
-    let mut reasons = Vec::new();
-    for (name, wanted, found) in numbers {
-        if let (Some(wanted), Some(found)) = (wanted, found)
-            && (found / wanted - 1.0).abs() > limits.setting_tolerance
-        {
-            let sentence = format!("The {name} is {found} in {here} but {wanted} in {there}; {advice}.");
-            reasons.push(reason(code, found, wanted, sentence));
-        }
-    }
-    for (name, wanted, found) in words {
-        if let (Some(wanted), Some(found)) = (wanted, found)
-            && wanted != found
-        {
-            let sentence = format!("The {name} is {found:?} in {here} but {wanted:?} in {there}; {advice}.");
-            reasons.push(reason(code, 1.0, 0.0, sentence));
-        }
-    }
-    reasons
+/// A file that is the other frame, or a frame of an earlier pair.
+fn repeated(files: Files) -> Option<Reason> {
+    let earlier = |digest: &str| files.earlier.get(digest).copied();
+    let words = |role| match role {
+        Role::Unlit => "unlit",
+        Role::Lit => "lit",
+    };
+    let told = |frame: Role, (role, pair): (Role, u32)| {
+        format!("The {} frame is bit for bit the {} frame of pair {pair}", words(frame), words(role))
+    };
+    let what = if files.off == files.on {
+        "The lit frame is bit for bit the unlit frame".to_owned()
+    } else if let Some(found) = earlier(files.on) {
+        told(Role::Lit, found)
+    } else {
+        let allowed = |role| files.may_share_unlit && role == Role::Unlit;
+        told(Role::Unlit, earlier(files.off).filter(|(role, _)| !allowed(*role))?)
+    };
+    let sentence = format!(
+        "{what}: the camera delivered the same frame twice; empty its buffer and shoot the pair again."
+    );
+    Some(Reason { code: ReasonCode::Repeated, figure: 1.0, limit: 0.0, sentence })
 }
 
 fn changed_size(off: &Mosaic, on: &Mosaic) -> Option<Reason> {
@@ -121,80 +162,32 @@ fn changed_size(off: &Mosaic, on: &Mosaic) -> Option<Reason> {
         "The lit frame has {w} x {h} sites with the filter array {:?}, the unlit one {ow} x {oh} with {:?}; shoot both with one camera in one raw size.",
         on.cfa.0, off.cfa.0
     );
-    Some(reason(ReasonCode::SettingsChanged, (w * h) as f64, (ow * oh) as f64, sentence))
+    let (figure, limit) = ((w * h) as f64, (ow * oh) as f64);
+    Some(Reason { code: ReasonCode::SettingsChanged, figure, limit, sentence })
 }
 
-/// The worst share of clipped sites of one colour in one frame.
-fn overexposed(off: &Mosaic, on: &Mosaic, limits: &Limits) -> Option<Reason> {
-    let shares = [("unlit", off.clipped_shares()), ("lit", on.clipped_shares())];
-    let named = shares.iter().flat_map(|(frame, shares)| {
-        ["red", "green", "blue"].into_iter().zip(shares).map(move |(colour, share)| (*frame, colour, *share))
-    });
-    let (frame, colour, worst) = named.max_by(|a, b| a.2.total_cmp(&b.2))?;
-    (worst > limits.clipped_share).then(|| {
-        let advice = if frame == "lit" { "lower the flash power, or close the aperture" } else { "shorten the exposure, or dim the room" };
-        let sentence = format!(
-            "{:.2} % of the {colour} sites of the {frame} frame are clipped, more than {:.2} %; {advice}, and shoot the pair again.",
-            100.0 * worst, 100.0 * limits.clipped_share
-        );
-        reason(ReasonCode::Overexposed, worst, limits.clipped_share, sentence)
-    })
+fn whole_frame(mosaic: &Mosaic) -> Region {
+    Region { x: 0, y: 0, width: mosaic.dn.width(), height: mosaic.dn.height() }
 }
 
-/// Whether a block rose beyond its noise and beyond what the room's own light may do.
-fn is_lit(block: &Block, limits: &Limits) -> bool {
-    block.rise > limits.noise_sigmas * block.error && block.rise > limits.ambient_rise * block.ambient
-}
-
-fn misfire(blocks: &[Block], limits: &Limits) -> Option<Reason> {
-    let lit = rise::share(blocks, |b| is_lit(b, limits));
-    (lit < limits.lit_share).then(|| {
-        let darker = rise::share(blocks, |b| b.rise < -limits.noise_sigmas * b.error);
-        let advice = if darker > 0.5 {
-            "the frames look swapped: give the unlit frame as off, the lit one as on"
-        } else {
-            "check the flash's cable, charge and switch, and shoot the pair again"
-        };
-        let sentence = format!(
-            "The light rose in {:.2} % of the frame only (at least {:.2} % is expected), so the flash did not fire; {advice}.",
-            100.0 * lit, 100.0 * limits.lit_share
-        );
-        reason(ReasonCode::Misfire, lit, limits.lit_share, sentence)
-    })
-}
-
-fn weak(blocks: &[Block], on: &Mosaic, limits: &Limits) -> Option<Reason> {
-    let levels = on.levels.saturation.concat().into_iter().zip(on.levels.black.concat());
-    let range = levels.map(|(saturation, black)| f64::from(saturation - black)).sum::<f64>() / 4.0;
-    let rise = rise::best_hundredth(blocks) / range;
-    (rise < limits.least_rise).then(|| {
-        let sentence = format!(
-            "The flash lifts the best-lit hundredth of the frame by {:.2} % of the range only, less than {:.2} %; raise its power, open the aperture, or go nearer.",
-            100.0 * rise, 100.0 * limits.least_rise
-        );
-        reason(ReasonCode::Weak, rise, limits.least_rise, sentence)
-    })
-}
-
-/// The flash's light against that of an earlier pair from the same stop, over the blocks that were lit.
-fn weaker_than(blocks: &[Block], earlier: &[Block], limits: &Limits) -> Option<Reason> {
-    if blocks.len() != earlier.len() {
+/// A region drawn on frames of another size says that the size was changed since.
+fn region_outside(region: Region, whole: Region) -> Option<Reason> {
+    let fits = |from: usize, size: usize, whole: usize| {
+        size > 0 && from.checked_add(size).is_some_and(|end| end <= whole)
+    };
+    if fits(region.x, region.width, whole.width) && fits(region.y, region.height, whole.height) {
         return None;
     }
-    let lit = || blocks.iter().zip(earlier).filter(|(_, earlier)| is_lit(earlier, limits));
-    let before: f64 = lit().map(|(_, earlier)| earlier.rise).sum();
-    let now: f64 = lit().map(|(now, _)| now.rise).sum();
-    let share = now / before;
-    (before > 0.0 && share < limits.least_rise_of_earlier).then(|| {
-        let sentence = format!(
-            "The flash gave {:.1} % of the light that it gave from this stop before, less than {:.1} %; let it recharge, and shoot the pair again.",
-            100.0 * share, 100.0 * limits.least_rise_of_earlier
-        );
-        reason(ReasonCode::Weak, share, limits.least_rise_of_earlier, sentence)
-    })
+    let Region { x, y, width, height } = region;
+    let sentence = format!(
+        "The region {x},{y},{width},{height} is not inside the frame of {} x {} sites; set the camera back to the raw size it was drawn on, or draw it anew.",
+        whole.width, whole.height
+    );
+    let (figure, limit) = (whole.width as f64, x.saturating_add(width) as f64);
+    Some(Reason { code: ReasonCode::SettingsChanged, figure, limit, sentence })
 }
 
-fn moved(off: &Mosaic, on: &Mosaic, limits: &Limits) -> Option<Reason> {
+fn moved([off, on]: &[survey::Cells; 2], limits: &Limits) -> Option<Reason> {
     let (x, y) = motion::shift(off, on)?;
     let distance = x.hypot(y);
     (distance > limits.shift_sites).then(|| {
@@ -202,31 +195,17 @@ fn moved(off: &Mosaic, on: &Mosaic, limits: &Limits) -> Option<Reason> {
             "The lit frame is displaced by {distance:.2} pixels ({x:+.2} right, {y:+.2} down), more than {:.2}; use a stand and a remote release, and shoot the pair again.",
             limits.shift_sites
         );
-        reason(ReasonCode::Moved, distance, limits.shift_sites, sentence)
-    })
-}
-
-/// Flash adds light; a block that is darker in the lit frame tells that the room's light fell. A rise
-/// cannot be told from flash.
-fn ambient_changed(blocks: &[Block], limits: &Limits) -> Option<Reason> {
-    let darkened = rise::share(blocks, |b| {
-        b.rise < -limits.noise_sigmas * b.error && b.rise < -limits.ambient_fall * b.ambient
-    });
-    (darkened > limits.darkened_share).then(|| {
-        let sentence = format!(
-            "{:.2} % of the frame is darker with flash than without, more than {:.2} %, so the room's light fell between the frames; keep windows covered and lamps steady, and shoot the pair again.",
-            100.0 * darkened, 100.0 * limits.darkened_share
-        );
-        reason(ReasonCode::AmbientChanged, darkened, limits.darkened_share, sentence)
+        Reason { code: ReasonCode::Moved, figure: distance, limit: limits.shift_sites, sentence }
     })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pair::Exposure;
     use crate::photometry::{Cfa, LevelSource, Levels};
     use crate::raster::Image;
-    use crate::units::Seconds;
+    use crate::units::{FNumber, Iso, Seconds};
     use rand::SeedableRng;
     use rand_distr::{Distribution, Normal};
 
@@ -252,6 +231,11 @@ mod tests {
         3200.0 + 1000.0 * waves
     }
 
+    fn shift(off: &Mosaic, on: &Mosaic) -> Option<(f64, f64)> {
+        let [off, on] = survey::survey(off, on, 1.0, whole_frame(off)).cells;
+        motion::shift(&off, &on)
+    }
+
     fn codes(off: &Mosaic, on: &Mosaic) -> Vec<ReasonCode> {
         let settings = Settings::default();
         let view = |mosaic| FrameView { mosaic, settings: &settings };
@@ -275,16 +259,112 @@ mod tests {
     }
 
     #[test]
-    fn a_flash_that_gives_less_than_before_is_weak() {
+    fn a_flash_that_gives_less_than_before_or_less_energy_is_weak() {
         let (off, on) = (frame(1, room), frame(2, |x, y| 2.0 * room(x, y)));
         let (earlier_off, earlier_on) = (frame(3, room), frame(4, |x, y| 2.3 * room(x, y)));
         let settings = Settings::default();
         let view = |mosaic| FrameView { mosaic, settings: &settings };
-        let expected = Expected { plan: None, earlier: Some((&earlier_off, &earlier_on)) };
-        let reasons = judge_expecting(view(&off), view(&on), &expected, &Limits::default());
+        let judged =
+            |off, on, expected: &Expected| judge_expecting(view(off), view(on), expected, &Limits::default());
+        let before = judged(&earlier_off, &earlier_on, &Expected::default());
+        assert_eq!(before.reasons, []);
+        let earlier = [before.stop.unwrap()];
+        let reasons = judged(&off, &on, &Expected { earlier: &earlier, ..Expected::default() }).reasons;
         assert_eq!(reasons.len(), 1);
         assert_eq!(reasons[0].code, ReasonCode::Weak);
         assert!((reasons[0].figure - 1.0 / 1.3).abs() < 0.01, "{reasons:?}");
+
+        for (counts, expected) in [(950.0, vec![]), (890.0, vec![ReasonCode::Weak])] {
+            let energy = Some(EnergyExpectation { counts, usual: 1000.0 });
+            let reasons = judged(&off, &on, &Expected { energy, ..Expected::default() }).reasons;
+            assert_eq!(reasons.iter().map(|r| r.code).collect::<Vec<_>>(), expected);
+        }
+    }
+
+    #[test]
+    fn a_frame_that_was_there_before_is_called_repeated_and_nothing_else() {
+        let (off, on) = (frame(1, room), frame(2, |x, y| 2.0 * room(x, y)));
+        let settings = Settings::default();
+        let view = |mosaic| FrameView { mosaic, settings: &settings };
+        let earlier = BTreeMap::from([("u".to_owned(), (Role::Unlit, 7)), ("l".to_owned(), (Role::Lit, 7))]);
+        let judged = |off_digest, on_digest, may_share_unlit| {
+            let files = Some(Files { off: off_digest, on: on_digest, earlier: &earlier, may_share_unlit });
+            let expected = Expected { files, ..Expected::default() };
+            let reasons = judge_expecting(view(&off), view(&on), &expected, &Limits::default()).reasons;
+            reasons.into_iter().map(|r| (r.code, r.sentence)).next()
+        };
+        assert_eq!(judged("a", "b", false), None);
+        assert_eq!(judged("u", "b", true), None);
+        for (off, on, shared, words) in [
+            ("a", "a", true, "the unlit frame:"),
+            ("a", "l", true, "The lit frame is bit for bit the lit frame of pair 7"),
+            ("l", "b", true, "The unlit frame is bit for bit the lit frame of pair 7"),
+            ("u", "b", false, "The unlit frame is bit for bit the unlit frame of pair 7"),
+        ] {
+            let (code, sentence) = judged(off, on, shared).unwrap();
+            assert_eq!(code, ReasonCode::Repeated);
+            assert!(sentence.contains(words), "{sentence}");
+        }
+    }
+
+    #[test]
+    fn light_is_looked_for_and_clipping_is_judged_where_the_object_is() {
+        let settings = Settings::default();
+        let judged = |on: &Mosaic, region| {
+            let off = frame(1, room);
+            let view = |mosaic| FrameView { mosaic, settings: &settings };
+            let expected = Expected { region, ..Expected::default() };
+            judge_expecting(view(&off), view(on), &expected, &Limits::default()).reasons
+        };
+        let left = Some(Region { x: 0, y: 0, width: 160, height: 256 });
+        // A blown lamp in the right half, and flash light everywhere.
+        let lamp = |share: f64| {
+            frame(2, move |x, y| if x > 160.0 + 160.0 * (1.0 - share) { 60_000.0 } else { 2.0 * room(x, y) })
+        };
+        assert_eq!(judged(&lamp(0.1), left), []);
+        let reasons = judged(&lamp(0.1), None);
+        assert_eq!(reasons[0].code, ReasonCode::Overexposed);
+        let reasons = judged(&lamp(0.5), left);
+        assert_eq!(reasons[0].code, ReasonCode::Overexposed);
+        assert!(
+            reasons[0].sentence.contains("of the lit frame outside the region are clipped"),
+            "{reasons:?}"
+        );
+        // Flash on the wall beside the object is no flash on the object.
+        let beside = frame(2, |x, y| if x > 200.0 { 2.0 * room(x, y) } else { room(x, y) });
+        assert_eq!(judged(&beside, None), []);
+        assert_eq!(judged(&beside, left)[0].code, ReasonCode::Misfire);
+        let astray = Some(Region { x: 300, y: 0, width: 21, height: 10 });
+        assert!(judged(&beside, astray)[0].sentence.contains("not inside the frame of 320 x 256"));
+    }
+
+    #[test]
+    fn unequal_exposures_by_plan_are_compared_in_one_scale() {
+        let exposure = |t: f64| Exposure { shutter: Seconds(t), aperture: FNumber(8.0), iso: Iso(100.0) };
+        let told = |e: Exposure| Settings {
+            shutter: Some(e.shutter),
+            aperture: Some(e.aperture),
+            iso: Some(e.iso),
+            ..Settings::default()
+        };
+        // The unlit frame is exposed four times as long; 1/30 and 1/125 are 2^-5 and 2^-7 s.
+        let plan = Plan { off: exposure(1.0 / 30.0), on: exposure(1.0 / 125.0) };
+        let (off_told, on_told) = (told(plan.off), told(plan.on));
+        let off = frame(1, |x, y| 4.0 * room(x, y));
+        let judged = |on: &Mosaic, plan| {
+            let off = FrameView { mosaic: &off, settings: &off_told };
+            let on = FrameView { mosaic: on, settings: &on_told };
+            let reasons =
+                judge_expecting(off, on, &Expected { plan, ..Expected::default() }, &Limits::default())
+                    .reasons;
+            reasons.iter().map(|r| r.code).collect::<Vec<_>>()
+        };
+        let lit = frame(2, |x, y| 1.5 * room(x, y));
+        assert_eq!(judged(&lit, Some(&plan)), []);
+        assert_eq!(judged(&lit, None), [ReasonCode::SettingsChanged, ReasonCode::Misfire]);
+        assert_eq!(judged(&frame(2, room), Some(&plan)), [ReasonCode::Misfire]);
+        let fallen = frame(2, |x, y| if x < 60.0 && y < 60.0 { 0.93 * room(x, y) } else { 2.0 * room(x, y) });
+        assert_eq!(judged(&fallen, Some(&plan)), [ReasonCode::AmbientChanged]);
     }
 
     #[test]
@@ -297,7 +377,7 @@ mod tests {
     fn a_displaced_frame_is_moved_and_by_how_much_is_told() {
         for (dx, dy) in [(1.0, 0.0), (-3.0, 2.0), (5.0, 18.0)] {
             let on = frame(2, |x, y| 2.0 * room(x - dx, y - dy));
-            let (x, y) = motion::shift(&frame(1, room), &on).unwrap();
+            let (x, y) = shift(&frame(1, room), &on).unwrap();
             assert!((x - dx).abs() < 0.2 && (y - dy).abs() < 0.2, "{x} {y} for {dx} {dy}");
             assert_eq!(codes(&frame(1, room), &on), [ReasonCode::Moved]);
         }
@@ -305,7 +385,7 @@ mod tests {
 
     #[test]
     fn a_frame_without_structure_is_not_called_moved() {
-        assert_eq!(motion::shift(&frame(1, |_, _| 3000.0), &frame(2, |_, _| 9000.0)), None);
+        assert_eq!(shift(&frame(1, |_, _| 3000.0), &frame(2, |_, _| 9000.0)), None);
         assert_eq!(codes(&frame(1, |_, _| 3000.0), &frame(2, |_, _| 9000.0)), []);
     }
 
@@ -313,23 +393,6 @@ mod tests {
     fn a_corner_that_darkens_tells_that_the_room_changed() {
         let on = frame(2, |x, y| if x < 60.0 && y < 60.0 { 0.93 * room(x, y) } else { 2.0 * room(x, y) });
         assert_eq!(codes(&frame(1, room), &on), [ReasonCode::AmbientChanged]);
-    }
-
-    #[test]
-    fn settings_are_compared_with_each_other_and_with_the_plan() {
-        let mosaics = (frame(1, room), frame(2, |x, y| 2.0 * room(x, y)));
-        let fast = Settings { shutter: Some(Seconds(1.0 / 125.0)), ..Settings::default() };
-        let slow = Settings { shutter: Some(Seconds(1.0 / 100.0)), ..Settings::default() };
-        let judged = |off: &Settings, on: &Settings, plan: Option<&Settings>| {
-            let off = FrameView { mosaic: &mosaics.0, settings: off };
-            let on = FrameView { mosaic: &mosaics.1, settings: on };
-            judge_expecting(off, on, &Expected { plan, earlier: None }, &Limits::default())
-        };
-        assert_eq!(judged(&fast, &fast, Some(&fast)), []);
-        let reasons = judged(&fast, &slow, None);
-        assert_eq!((reasons.len(), reasons[0].code), (1, ReasonCode::SettingsChanged));
-        assert_eq!((reasons[0].figure, reasons[0].limit), (0.01, 0.008));
-        assert_eq!(judged(&slow, &slow, Some(&fast)).len(), 1);
     }
 
     #[test]

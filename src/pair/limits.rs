@@ -21,7 +21,20 @@ pub struct Limits {
     /// Least share of the light of an earlier pair from the same stop. Strobes repeat to 1 % or better, so
     /// 0.9 is a flash that had not recharged.
     pub least_rise_of_earlier: f64,
-    /// Largest share of a colour's sites that may be clipped. Clipped sites are left out by themselves; past
+    /// Least energy of a pulse, as a share of the median of the session's earlier ones by the controller's own
+    /// sensor; as for light, 0.9 is a flash that had not recharged.
+    pub least_energy: f64,
+    /// Difference of the room's light, as a share of it, beyond which a grid cell is not from the same stop.
+    /// Lamps wander by less once their level is divided out; an edge that moved by a tenth of a cell does not.
+    pub stop_tolerance: f64,
+    /// Largest share of the grid that may differ by that much at one and the same stop: some mottle of moving
+    /// leaves or shadows. An object that turned by a few degrees changes more.
+    pub stop_changed_share: f64,
+    /// Largest share of a colour's sites outside the region of interest that may be clipped. What is there is not
+    /// measured, so that a lamp or a window in the picture may be blown; a fifth of the frame blown sheds light
+    /// over everything through the lens's flare.
+    pub clipped_share_outside: f64,
+    /// Largest share of a colour's sites in the region of interest that may be clipped. Clipped sites are left out by themselves; past
     /// 1 % it is no longer a few glints.
     pub clipped_share: f64,
     /// Largest displacement between the frames, in sites. From half a site on, most of a site's light comes
@@ -44,6 +57,10 @@ impl Default for Limits {
             lit_share: 0.01,
             least_rise: 0.02,
             least_rise_of_earlier: 0.9,
+            least_energy: 0.9,
+            stop_tolerance: 0.04,
+            stop_changed_share: 0.005,
+            clipped_share_outside: 0.2,
             clipped_share: 0.01,
             shift_sites: 0.5,
             ambient_fall: 0.02,

@@ -1,15 +1,19 @@
 //! Pure: what a pair is, what was asked of it, and what the checks say.
 
+mod agreement;
 mod checks;
+mod light;
 mod limits;
 mod motion;
 mod plan;
 mod record;
-mod rise;
 mod settings;
+mod stop;
+mod survey;
 
-pub use checks::{Expected, FrameView, judge, judge_expecting};
+pub use checks::{EnergyExpectation, Expected, Files, FrameView, Judgement, Role, judge, judge_expecting};
 pub use limits::Limits;
-pub use plan::{Dial, Exposure, Offered, Plan};
-pub use record::{FlashRecord, FrameRecord, PairRecord, Reason, ReasonCode, Verdict};
+pub use plan::{Dial, Exposure, Offered, Plan, Window, WindowOutside};
+pub use record::{CompanionRecord, FlashRecord, FrameRecord, PairRecord, Reason, ReasonCode, Verdict};
 pub use settings::Settings;
+pub use stop::Stop;

@@ -29,6 +29,8 @@ pub enum ReasonCode {
     SettingsChanged,
     /// The room's light fell between the two frames.
     AmbientChanged,
+    /// The camera delivered the same frame twice.
+    Repeated,
     /// A file ends before its data does.
     Truncated,
     /// A file is no raw that can be decoded.
@@ -61,6 +63,22 @@ pub struct FrameRecord {
     pub blake3: String,
     /// Settings out of the file's EXIF.
     pub settings: Settings,
+    /// The JPEG that the camera wrote of the same release, where it writes RAW+JPEG.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub jpeg: Option<CompanionRecord>,
+}
+
+/// A second file of one release.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CompanionRecord {
+    /// File name inside the pair's folder (`off.jpg`).
+    pub file: String,
+    /// The name under which the camera had it.
+    pub original_name: String,
+    /// Length in bytes.
+    pub bytes: u64,
+    /// BLAKE3 of the file, hexadecimal.
+    pub blake3: String,
 }
 
 /// What the flash controller saw of a pair.

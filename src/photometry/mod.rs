@@ -1,10 +1,12 @@
 //! Pure photometry: what a raw sensor value means, and what of it is the flash's own light.
 
+pub mod apex;
 mod demosaic;
 pub mod inspect;
 mod isolate;
 mod mosaic;
 mod noise;
+pub mod saturation;
 
 pub use demosaic::{Known, demosaic};
 pub use isolate::{IsolateError, KnownMosaic, isolate, isolate_dark};

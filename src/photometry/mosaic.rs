@@ -27,8 +27,12 @@ pub enum LevelSource {
     MaskedPixels,
     /// A tag of the file.
     FileTag,
-    /// The decoder library's table for the model: a fallback that reports name.
+    /// Published measurements of the model, built in.
+    BodyTable,
+    /// The decoder library's table for the model, as it stands.
     DecoderTable,
+    /// The decoder library's table less a margin for its errors: a fallback that reports name.
+    DecoderMargin,
 }
 
 /// Sensor levels in DN, one a position of the 2x2 array, indexed `[row & 1][column & 1]`.

@@ -1,11 +1,14 @@
 //! One pair's files to its known light and the lamp that made it.
 
 use crate::calibration::FlashCalibration;
-use crate::codec::raw::{self, RawError};
+use crate::codec::raw::RawError;
 use crate::pair::{PairRecord, Settings};
+use crate::photometry::apex::{ExposureScale, Nominal};
 use crate::photometry::{IsolateError, Known, demosaic, isolate};
+use crate::pipeline::saturation::{self, SaturationError};
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
+use crate::units::{FNumber, Iso};
 
 /// Why a pair could not be developed.
 #[derive(Debug, thiserror::Error)]
@@ -13,6 +16,9 @@ pub enum DevelopError {
     /// A frame cannot be decoded.
     #[error(transparent)]
     Raw(#[from] RawError),
+    /// The session's saturation table cannot be read.
+    #[error(transparent)]
+    Saturation(#[from] SaturationError),
     /// The frames do not fit together.
     #[error("pair {name}: {source}")]
     Isolate {
@@ -62,8 +68,9 @@ pub fn known_light(
     calibration: &FlashCalibration,
 ) -> Result<Known, DevelopError> {
     let folder = session.pair_dir(pair.number);
-    let (on, off) =
-        rayon::join(|| raw::read(&folder.join(&pair.on.file)), || raw::read(&folder.join(&pair.off.file)));
+    let measured = saturation::load(session)?;
+    let read = |file: &str| saturation::read(&folder.join(file), &measured);
+    let (on, off) = rayon::join(|| read(&pair.on.file), || read(&pair.off.file));
     let scale = exposure_ratio(&pair.on.settings, &pair.off.settings)
         .map_err(|setting| DevelopError::Lacking { name: pair.name.clone(), setting })?;
     isolate(&on?.mosaic, &off?.mosaic, scale as f32, &calibration.noise)
@@ -81,9 +88,9 @@ pub fn lamp(pair: &PairRecord, calibration: &FlashCalibration) -> Result<Lamp, D
         (None, None) => Ok(1.0),
         _ => Err(unknown(setting)),
     };
-    let iso = ratio(settings.iso.map(|s| s.0), calibration.iso, "ISO")?;
-    let aperture = ratio(settings.aperture.map(|n| n.0), calibration.aperture, "aperture")?;
-    let gain = iso / (aperture * aperture);
+    let (iso, aperture) = (|v| Nominal.gain(Iso(v)), |v| Nominal.aperture(FNumber(v)));
+    let gain = ratio(settings.iso.map(|s| iso(s.0)), calibration.iso.map(iso), "ISO")?
+        * ratio(settings.aperture.map(|n| aperture(n.0)), calibration.aperture.map(aperture), "aperture")?;
     Ok(Lamp {
         ring: calibration.ring,
         radiance: calibration.radiance.map(|r| r * gain),
@@ -91,7 +98,7 @@ pub fn lamp(pair: &PairRecord, calibration: &FlashCalibration) -> Result<Lamp, D
     })
 }
 
-/// S_on / S_off with S = t ISO / N^2. What neither frame tells counts as equal; what one of them lacks is an error
+/// S_on / S_off with S = t ISO / N^2, by what the labels stand for. What neither frame tells counts as equal; what one of them lacks is an error
 /// that names the setting.
 pub(super) fn exposure_ratio(on: &Settings, off: &Settings) -> Result<f64, &'static str> {
     let ratio = |on: Option<f64>, off: Option<f64>, setting| match (on, off) {
@@ -99,15 +106,18 @@ pub(super) fn exposure_ratio(on: &Settings, off: &Settings) -> Result<f64, &'sta
         (None, None) => Ok(1.0),
         _ => Err(setting),
     };
-    let time = ratio(on.shutter.map(|t| t.0), off.shutter.map(|t| t.0), "shutter")?;
-    let iso = ratio(on.iso.map(|s| s.0), off.iso.map(|s| s.0), "ISO")?;
-    let aperture = ratio(on.aperture.map(|n| n.0), off.aperture.map(|n| n.0), "aperture")?;
-    Ok(time * iso / (aperture * aperture))
+    let time = |s: &Settings| s.shutter.map(|v| Nominal.time(v));
+    let iso = |s: &Settings| s.iso.map(|v| Nominal.gain(v));
+    let aperture = |s: &Settings| s.aperture.map(|v| Nominal.aperture(v));
+    Ok(ratio(time(on), time(off), "shutter")?
+        * ratio(iso(on), iso(off), "ISO")?
+        * ratio(aperture(on), aperture(off), "aperture")?)
 }
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::units::{FNumber, Iso, Seconds};
+    use crate::units::Seconds;
 
     #[test]
     fn the_rooms_light_scales_with_time_iso_and_aperture_and_not_with_what_nobody_told() {
@@ -117,8 +127,11 @@ mod tests {
             iso: Some(Iso(200.0)),
             ..Settings::default()
         };
-        let off = Settings { shutter: Some(Seconds(1.0 / 120.0)), iso: Some(Iso(100.0)), ..on.clone() };
+        // 1/60 and 1/125 are 2^-6 and 2^-7 s, f/8 and f/9 a third of a stop apart.
+        let off = Settings { shutter: Some(Seconds(1.0 / 125.0)), iso: Some(Iso(100.0)), ..on.clone() };
         assert!((exposure_ratio(&on, &off).unwrap() - 4.0).abs() < 1e-9);
+        let closed = Settings { aperture: Some(FNumber(9.0)), ..off };
+        assert!((exposure_ratio(&on, &closed).unwrap() - 4.0 * 2f64.cbrt()).abs() < 1e-9);
         let untold = Settings::default();
         assert_eq!(exposure_ratio(&untold, &untold), Ok(1.0));
         assert_eq!(exposure_ratio(&on, &Settings { shutter: None, ..on.clone() }), Err("shutter"));

@@ -1,10 +1,11 @@
 //! The flash calibration of a session: card shots in, `calibration/flash.json` out.
 
 use crate::calibration::{CardShot, FlashCalibration, FlashFitError, fit_flash};
-use crate::codec::raw::{self, RawError};
+use crate::codec::raw::RawError;
 use crate::light::{Ring, RingError};
 use crate::pair::Settings;
 use crate::photometry::{IsolateError, NoNoise, NoiseModel, isolate, isolate_dark};
+use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::{develop::exposure_ratio, scene};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Distortion, Intrinsics};
@@ -64,6 +65,9 @@ pub enum FlashError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// The session's saturation table cannot be read.
+    #[error(transparent)]
+    Saturation(#[from] SaturationError),
     /// `flash.json` is broken.
     #[error("{} is damaged ({reason}); run `unlit calibrate flash` again", path.display())]
     Damaged {
@@ -108,12 +112,13 @@ pub fn calibrate(
     progress: &Progress,
 ) -> Result<FlashCalibration, FlashError> {
     let ring = Ring::new(facts.ring_radii[0], facts.ring_radii[1])?;
+    let measured = saturation::load(session)?;
     let (mut frames, mut settings) = (vec![], None::<Settings>);
     for (i, shot) in shots.iter().enumerate() {
         progress.check()?;
         progress.report("reading card shots", i, shots.len());
-        let on = raw::read(&shot.on)?;
-        let off = shot.off.as_deref().map(raw::read).transpose()?;
+        let on = saturation::read(&shot.on, &measured)?;
+        let off = shot.off.as_deref().map(|off| saturation::read(off, &measured)).transpose()?;
         same_settings(settings.get_or_insert_with(|| on.settings.clone()), &on.settings, &shot.on)?;
         let off = match off {
             Some(off) => {

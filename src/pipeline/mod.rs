@@ -7,5 +7,7 @@ mod manifest;
 pub mod pairs;
 pub mod process;
 mod report;
+pub mod saturation;
 pub mod scene;
+pub mod stops;
 pub mod views;

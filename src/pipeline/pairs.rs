@@ -1,13 +1,17 @@
 //! Pairs that were shot to a card: from two folders of files into the session, judged on the way.
 //!
 //! Files are matched by their stem (`IMG_0007.CR2` with `IMG_0007.CR2`), which becomes the pair's name.
-//! Every pair is stored, the rejected ones too, with what is wrong with them. A pair that is there already
-//! (same name, same bytes) is passed over; a name that is there with other bytes is an error.
+//! Every pair is stored, the rejected ones too, with what is wrong with them: by itself, and against the
+//! session's earlier pairs from the same stop. A pair that is there already (same name, same bytes) is passed
+//! over; a name that is there with other bytes is an error.
 
 use crate::codec::{exif::settings as settings_of, raw};
-use crate::pair::{self, FrameView, Limits, PairRecord, Reason, Settings};
+use crate::pair::{self, Expected, FrameView, Judgement, Limits, PairRecord, Settings};
+use crate::photometry::saturation::SaturationTable;
+use crate::pipeline::saturation::{self, SaturationError};
+use crate::pipeline::stops::{Delivery, Earlier, EarlierError};
 use crate::progress::{Cancelled, Progress};
-use crate::session::{Commit, NewFrame, NewPair, Session, SessionError};
+use crate::session::{Commit, NewFrame, NewPair, Session, SessionError, store};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -71,12 +75,24 @@ pub enum ImportError {
         /// What is wrong.
         source: serde_json::Error,
     },
+    /// The session's saturation table cannot be read.
+    #[error(transparent)]
+    Saturation(#[from] SaturationError),
     /// The session refused.
     #[error(transparent)]
     Session(#[from] SessionError),
     /// Stopped on request.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
+}
+
+impl From<EarlierError> for ImportError {
+    fn from(error: EarlierError) -> Self {
+        match error {
+            EarlierError::Session(error) => error.into(),
+            EarlierError::Cancelled(cancelled) => cancelled.into(),
+        }
+    }
 }
 
 /// Limits out of a JSON file; the defaults without one.
@@ -109,11 +125,13 @@ pub fn import(
     if matched.is_empty() {
         return Err(ImportError::NothingMatches { off: off_dir.to_owned(), on: on_dir.to_owned() });
     }
+    let measured = saturation::load(session)?;
+    let mut earlier = Earlier::load(session, progress)?;
     let total = matched.len();
     for (done, (stem, off, on)) in matched.into_iter().enumerate() {
         progress.check()?;
         progress.report("importing pairs", done, total);
-        let imported = import_pair(session, &stem, &off, &on, limits)?;
+        let imported = import_pair(session, (&measured, &mut earlier), &stem, [&off, &on], limits)?;
         each(&imported);
         summary.imported.push(imported);
     }
@@ -123,15 +141,19 @@ pub fn import(
 
 fn import_pair(
     session: &Session,
+    (measured, earlier): (&SaturationTable, &mut Earlier),
     stem: &str,
-    off: &Path,
-    on: &Path,
+    [off, on]: [&Path; 2],
     limits: &Limits,
 ) -> Result<Imported, ImportError> {
     let (off_bytes, on_bytes) = (std::fs::read(off).map_err(io(off))?, std::fs::read(on).map_err(io(on))?);
-    let decode = |bytes: &[u8], path: &Path| raw::decode(bytes, &path.display().to_string());
-    let (off_photo, on_photo) = rayon::join(|| decode(&off_bytes, off), || decode(&on_bytes, on));
-    let reasons = judge(&off_photo, &on_photo, limits);
+    let read = |bytes: &[u8], path: &Path| {
+        (saturation::decode(bytes, &path.display().to_string(), measured), store::digest(bytes))
+    };
+    let ((off_photo, off_digest), (on_photo, on_digest)) =
+        rayon::join(|| read(&off_bytes, off), || read(&on_bytes, on));
+    let expected = earlier.expecting(&off_digest, &on_digest, None, Delivery::Files);
+    let Judgement { reasons, stop } = judge(&off_photo, &on_photo, &expected, limits);
     // What cannot be decoded may still tell its settings.
     let settings = |photo: Result<raw::Photo, raw::RawError>, bytes: &[u8]| -> Settings {
         photo.map_or_else(|_| settings_of(bytes), |photo| photo.settings)
@@ -143,30 +165,42 @@ fn import_pair(
             bytes: &off_bytes,
             original_name: &off_name,
             settings: settings(off_photo, &off_bytes),
+            jpeg: None,
         },
-        on: NewFrame { bytes: &on_bytes, original_name: &on_name, settings: settings(on_photo, &on_bytes) },
+        on: NewFrame {
+            bytes: &on_bytes,
+            original_name: &on_name,
+            settings: settings(on_photo, &on_bytes),
+            jpeg: None,
+        },
         reasons,
         flash: None,
     };
     Ok(match session.commit_pair(new)? {
-        Commit::Stored(record) => Imported { record, already_there: false },
+        Commit::Stored(record) => {
+            earlier.add(session, &record, stop)?;
+            Imported { record, already_there: false }
+        }
         Commit::AlreadyThere(record) => Imported { record, already_there: true },
     })
 }
 
-/// A pair's reasons for rejection out of its two decoded files: what decoding says, else what the checks say.
+/// Judges a pair by its two decoded files: what decoding says, else what the checks say. The one entry for pairs
+/// just shot and pairs that came in as files.
 pub fn judge(
     off: &Result<raw::Photo, raw::RawError>,
     on: &Result<raw::Photo, raw::RawError>,
+    expected: &Expected,
     limits: &Limits,
-) -> Vec<Reason> {
+) -> Judgement {
     fn view(photo: &raw::Photo) -> FrameView<'_> {
         FrameView { mosaic: &photo.mosaic, settings: &photo.settings }
     }
     match (off, on) {
-        (Ok(off), Ok(on)) => pair::judge(view(off), view(on), limits),
+        (Ok(off), Ok(on)) => pair::judge_expecting(view(off), view(on), expected, limits),
         (off, on) => {
-            [off, on].into_iter().filter_map(|p| p.as_ref().err()).map(raw::RawError::reason).collect()
+            let errors = [off, on].into_iter().filter_map(|p| p.as_ref().err());
+            Judgement { reasons: errors.map(raw::RawError::reason).collect(), stop: None }
         }
     }
 }

@@ -398,7 +398,7 @@ fn write(
     let bytes = serde_json::to_vec_pretty(summary).map_err(std::io::Error::other).map_err(io(&path))?;
     store::write_atomic(&path, &bytes).map_err(io(&path))?;
     let report = report::html(&Told {
-        manifest: session.manifest(),
+        manifest: &session.manifest(),
         calibration: &inputs.calibration,
         pairs: inputs.matched.iter().map(|(pair, _)| pair).collect(),
         summary,

@@ -276,6 +276,9 @@ mod tests {
             name: name.into(),
             created: "2026-01-02T03:04:05Z".into(),
             software: "unlit 0".into(),
+            plan: None,
+            region: None,
+            confirmed: Vec::new(),
         };
         let calibration = FlashCalibration {
             ring: Ring::new(0.035, 0.085).unwrap(),

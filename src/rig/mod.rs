@@ -2,6 +2,7 @@
 //! [`crate::capture`] alone owns a rig.
 
 pub mod camera;
+pub mod doctor;
 pub mod flash;
 mod traits;
 pub mod usb;

@@ -101,7 +101,10 @@ pub enum CameraError {
         hint: String,
     },
     /// Another program holds the port.
-    #[error("camera {port} is held by another program (often gvfs: `gio mount -s gphoto2` frees it)")]
+    #[error(
+        "camera {port} is held by another program (often gvfs: `systemctl --user stop \
+         gvfs-gphoto2-volume-monitor` and `gio mount -s gphoto2` free it; `unlit doctor` names it)"
+    )]
     Claimed {
         /// The port.
         port: String,
@@ -111,13 +114,31 @@ pub enum CameraError {
     Busy(String),
     /// The deadline passed; the camera host was killed and will be started anew.
     #[error(
-        "camera did not finish {operation} within {deadline:?}; its driver was stopped and is started again at the next try"
+        "camera did not finish {operation} within {deadline:.1?}; its driver was stopped and is started again at the next try"
     )]
     Deadline {
         /// What was asked.
         operation: String,
         /// How long it had.
         deadline: Duration,
+    },
+    /// The link broke, or the library no longer knows where it stands.
+    #[error(
+        "the link to the camera was lost while it was to {operation}: {reason}; it is opened anew at the next try"
+    )]
+    Lost {
+        /// What was asked.
+        operation: String,
+        /// What the driver said.
+        reason: String,
+    },
+    /// The camera has left the bus.
+    #[error(
+        "camera {port} has left the USB bus: plug it in again, switch it on or wake it, and set its auto power off to never"
+    )]
+    Unplugged {
+        /// Where it was.
+        port: String,
     },
     /// The camera refused.
     #[error("camera refused to {operation}: {reason}")]
@@ -127,9 +148,79 @@ pub enum CameraError {
         /// What the driver said.
         reason: String,
     },
+    /// It did not release because it found no focus.
+    #[error("camera did not release because it found no focus: switch the lens to manual focus (MF) ({0})")]
+    NoFocus(String),
+    /// No room for the frame.
+    #[error(
+        "camera has no room for the frame: empty or change its card, or let it send frames to the computer ({0})"
+    )]
+    CardFull(String),
+    /// The battery is too low to release.
+    #[error("camera's battery is too low: charge or change it, best use a mains adapter ({0})")]
+    BatteryLow(String),
+    /// A frame came with fewer bytes than announced.
+    #[error(
+        "{name} came with {got} of {announced} bytes, and the camera no longer has it: take the frame again"
+    )]
+    Incomplete {
+        /// The camera's name for the file.
+        name: String,
+        /// Bytes that came.
+        got: u64,
+        /// Bytes that the camera announced.
+        announced: u64,
+    },
+    /// Frames came that cannot be told apart from those of an earlier release.
+    #[error("the frame that came cannot be trusted to be the one just taken: {0}; take it again")]
+    Untrusted(String),
+    /// Everything that can be done from here was done; hands are needed.
+    #[error("the camera does not come back ({reason}). {advice}")]
+    Stuck {
+        /// The last error.
+        reason: String,
+        /// What the operator should do, in order.
+        advice: String,
+    },
     /// The camera host process could not be run or spoken to.
     #[error("camera host process failed: {0}")]
     Host(String),
+}
+
+impl CameraError {
+    /// Stable name for scripts.
+    pub fn code(&self) -> &'static str {
+        match self {
+            CameraError::NotFound { .. } => "camera_not_found",
+            CameraError::Claimed { .. } => "camera_claimed",
+            CameraError::Busy(_) => "camera_busy",
+            CameraError::Deadline { .. } => "camera_deadline",
+            CameraError::Lost { .. } => "camera_lost",
+            CameraError::Unplugged { .. } => "camera_unplugged",
+            CameraError::Refused { .. } => "camera_refused",
+            CameraError::NoFocus(_) => "camera_no_focus",
+            CameraError::CardFull(_) => "camera_card_full",
+            CameraError::BatteryLow(_) => "camera_battery_low",
+            CameraError::Incomplete { .. } => "camera_frame_incomplete",
+            CameraError::Untrusted(_) => "camera_frame_untrusted",
+            CameraError::Stuck { .. } => "camera_stuck",
+            CameraError::Host(_) => "camera_host_failed",
+        }
+    }
+
+    /// Whether [`Camera::recover`] and another try may help without the operator's hands.
+    pub fn may_pass(&self) -> bool {
+        matches!(
+            self,
+            CameraError::Busy(_)
+                | CameraError::Deadline { .. }
+                | CameraError::Lost { .. }
+                | CameraError::Unplugged { .. }
+                | CameraError::Incomplete { .. }
+                | CameraError::Untrusted(_)
+                | CameraError::Host(_)
+        )
+    }
 }
 
 /// A tethered camera. All calls block up to their deadline.
@@ -152,6 +243,11 @@ pub trait Camera: Send {
 
     /// A live picture (JPEG).
     fn preview(&mut self) -> Result<Vec<u8>, CameraError>;
+
+    /// Ends live view: the mirror comes down, and the camera saves its battery.
+    fn end_preview(&mut self) -> Result<(), CameraError> {
+        Ok(())
+    }
 
     /// Brings a camera back after a call that failed, from the gentlest step to the roughest, and tells the steps
     /// taken in words. An error says what the operator must do.

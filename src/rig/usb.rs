@@ -1,11 +1,16 @@
-//! Cameras on the USB bus, by libusb: which there are, and a reset for one whose driver was killed.
+//! Cameras on the USB bus, by libusb: which there are, word of their coming and going, and a reset for one whose
+//! driver was killed.
 //!
 //! A camera shows an interface of the still-image class (USB class 6); libgphoto2 names its port
 //! `usb:BBB,DDD` by bus and device address.
 
-use rusb::{Context, Device, UsbContext};
+use rusb::{Context, Device, Hotplug, HotplugBuilder, UsbContext};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
 
 /// Still-image capture, as the USB-IF numbers interface classes.
 const STILL_IMAGE: u8 = 6;
@@ -77,11 +82,16 @@ fn is_still_image(device: &Device<Context>) -> bool {
 
 /// The still-image devices that are plugged in.
 pub fn list() -> Result<Vec<UsbCamera>, UsbError> {
+    plugged_in(true)
+}
+
+/// With their own names, each device is opened for a moment; without, none is touched.
+fn plugged_in(with_names: bool) -> Result<Vec<UsbCamera>, UsbError> {
     let mut cameras = Vec::new();
     for device in devices()?.into_iter().filter(is_still_image) {
         // A device unplugged meanwhile has no descriptor, and no place in the list.
         let Ok(descriptor) = device.device_descriptor() else { continue };
-        let handle = device.open().ok();
+        let handle = if with_names { device.open().ok() } else { None };
         let handle = handle.as_ref();
         cameras.push(UsbCamera {
             bus: device.bus_number(),
@@ -110,6 +120,97 @@ pub fn reset(port: &str) -> Result<(), UsbError> {
     device.open().and_then(|handle| handle.reset()).map_err(failed(format!("reset of {port}")))
 }
 
+/// How often a bus that cannot tell is looked at.
+const POLL: Duration = Duration::from_secs(2);
+/// How long libusb may wait for an event before it is asked whether the watch is over.
+const PATIENCE: Duration = Duration::from_millis(250);
+
+/// A watch on the bus; dropping it ends its thread.
+#[must_use = "a watch that is dropped is over"]
+pub struct Watch {
+    over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        self.over.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            thread.thread().unpark();
+            // Whoever is told last may be in the middle of it; a panic of his is his own.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Tells `on_change`, on a thread of its own, which cameras are plugged in whenever one comes or goes (names left
+/// out). On a machine without a bus nothing ever changes.
+pub fn watch(on_change: impl FnMut(&[UsbCamera]) + Send + 'static) -> std::io::Result<Watch> {
+    let Ok(context) = Context::new() else {
+        return Ok(Watch { over: Arc::default(), thread: None });
+    };
+    watch_by(
+        move |over| {
+            let bell = Arc::new(AtomicBool::new(false));
+            let registered: Option<rusb::Registration<Context>> = rusb::has_hotplug()
+                .then(|| HotplugBuilder::new().register(&context, Box::new(Bell(bell.clone()))).ok())
+                .flatten();
+            move || match &registered {
+                Some(_) => {
+                    while !over.load(Ordering::Acquire) && !bell.swap(false, Ordering::AcqRel) {
+                        if let Err(error) = context.handle_events(Some(PATIENCE)) {
+                            tracing::debug!("USB events: {error}");
+                            std::thread::park_timeout(PATIENCE);
+                        }
+                    }
+                }
+                None => std::thread::park_timeout(POLL),
+            }
+        },
+        || plugged_in(false).unwrap_or_default(),
+        on_change,
+    )
+}
+
+/// libusb must not be asked about devices from inside its own callback: it only rings.
+struct Bell(Arc<AtomicBool>);
+
+impl<T: UsbContext> Hotplug<T> for Bell {
+    fn device_arrived(&mut self, _: Device<T>) {
+        self.0.store(true, Ordering::Release);
+    }
+
+    fn device_left(&mut self, _: Device<T>) {
+        self.0.store(true, Ordering::Release);
+    }
+}
+
+/// The watch over any bus: `wait` returns when it may have changed, `look` says what is there.
+fn watch_by<W: FnMut()>(
+    wait: impl FnOnce(Arc<AtomicBool>) -> W + Send + 'static,
+    mut look: impl FnMut() -> Vec<UsbCamera> + Send + 'static,
+    mut on_change: impl FnMut(&[UsbCamera]) + Send + 'static,
+) -> std::io::Result<Watch> {
+    let over = Arc::new(AtomicBool::new(false));
+    let told = over.clone();
+    let mut seen = look();
+    let thread = std::thread::Builder::new().name("usb-watch".into()).spawn(move || {
+        let mut wait = wait(told.clone());
+        loop {
+            wait();
+            if told.load(Ordering::Acquire) {
+                return;
+            }
+            let now = look();
+            if now != seen {
+                seen = now;
+                on_change(&seen);
+            }
+        }
+    })?;
+    Ok(Watch { over, thread: Some(thread) })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -120,6 +221,36 @@ mod tests {
         for port in ["usb:", "usb:1", "usb:001,400", "ptpip:127.0.0.1", "usb:a,b"] {
             assert_eq!(parse(port), None, "{port}");
         }
+    }
+
+    fn camera(address: u8) -> UsbCamera {
+        UsbCamera { bus: 1, address, vendor: 0x04a9, product: 0x3295, vendor_name: None, product_name: None }
+    }
+
+    #[test]
+    fn a_watch_tells_of_each_change_once_and_ends_with_its_thread() {
+        let (looks, bus) = std::sync::mpsc::channel();
+        let (tell, told) = std::sync::mpsc::channel();
+        let mut last = Vec::new();
+        let look = move || {
+            last = bus.try_recv().unwrap_or_else(|_| last.clone());
+            last.clone()
+        };
+        let wait = |_| || std::thread::park_timeout(Duration::from_millis(1));
+        let watch = watch_by(wait, look, move |now| tell.send(now.to_vec()).unwrap()).unwrap();
+        let patience = Duration::from_secs(5);
+        for now in [vec![camera(4)], vec![], vec![camera(5), camera(6)]] {
+            looks.send(now.clone()).unwrap();
+            assert_eq!(told.recv_timeout(patience).unwrap(), now);
+        }
+        looks.send(vec![camera(5), camera(6)]).unwrap();
+        drop(watch);
+        assert!(told.recv_timeout(patience).is_err(), "nothing changed, and the thread is gone");
+    }
+
+    #[test]
+    fn watching_this_machines_bus_begins_and_ends() {
+        drop(watch(|_| {}).unwrap());
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! A pair enters the session: both originals byte for byte, `pair.json`, all or nothing.
 
 use super::{Event, JOURNAL, PAIR_RECORD, Session, SessionError, journal, store, to_json};
-use crate::pair::{FlashRecord, FrameRecord, PairRecord, Reason, Settings, Verdict};
+use crate::pair::{CompanionRecord, FlashRecord, FrameRecord, PairRecord, Reason, Settings, Verdict};
 use std::path::Path;
 
 /// One original file of a new pair.
@@ -13,6 +13,8 @@ pub struct NewFrame<'a> {
     pub original_name: &'a str,
     /// Settings out of its EXIF.
     pub settings: Settings,
+    /// The JPEG of the same release, where the camera writes RAW+JPEG: its bytes and its name.
+    pub jpeg: Option<(&'a [u8], &'a str)>,
 }
 
 /// A pair to be stored.
@@ -62,8 +64,8 @@ impl Session {
                 Err(SessionError::DuplicateName { name, number })
             };
         }
-        let off = frame_record("off", &new.off, off_digest);
-        let on = frame_record("on", &new.on, on_digest);
+        let off = record_of("off", &new.off, off_digest);
+        let on = record_of("on", &new.on, on_digest);
         let record = PairRecord {
             number,
             name,
@@ -77,7 +79,7 @@ impl Session {
         let journal_file = self.path.join(JOURNAL);
         journal::append(&journal_file, Event::PairIntended { number, name: record.name.clone() })?;
         numbering.next = number.saturating_add(1);
-        self.write_pair(&record, new.off.bytes, new.on.bytes)?;
+        self.write_pair(&record, [&new.off, &new.on])?;
         numbering
             .names
             .insert(record.name.clone(), (number, record.off.blake3.clone(), record.on.blake3.clone()));
@@ -88,14 +90,16 @@ impl Session {
 
     /// Fills a folder under a temporary name, then gives it its own. A folder of that name, should there be
     /// one, is not overwritten: the rename fails.
-    fn write_pair(&self, record: &PairRecord, off: &[u8], on: &[u8]) -> Result<(), SessionError> {
+    fn write_pair(&self, record: &PairRecord, frames: [&NewFrame; 2]) -> Result<(), SessionError> {
         let pairs = self.pairs_dir();
         let aside = store::temporary_path(&pairs);
         std::fs::create_dir(&aside).map_err(SessionError::io(&aside))?;
         let json = to_json(&self.pair_dir(record.number).join(PAIR_RECORD), record)?;
-        for (name, bytes) in
-            [(record.off.file.as_str(), off), (record.on.file.as_str(), on), (PAIR_RECORD, json.as_slice())]
-        {
+        let mut files = vec![(PAIR_RECORD, json.as_slice())];
+        for (record, frame) in [&record.off, &record.on].into_iter().zip(frames) {
+            files.extend(frame_files(record, frame));
+        }
+        for (name, bytes) in files {
             let file = aside.join(name);
             store::write_synced(&file, bytes).map_err(SessionError::io(&file))?;
         }
@@ -105,11 +109,13 @@ impl Session {
         store::sync_folder(&pairs).map_err(SessionError::io(&pairs))
     }
 
-    /// Whether a pair's two originals are still byte for byte what was stored.
+    /// Whether a pair's originals are still byte for byte what was stored.
     pub fn originals_intact(&self, record: &PairRecord) -> Result<bool, SessionError> {
-        for frame in [&record.off, &record.on] {
-            let file = self.pair_dir(record.number).join(&frame.file);
-            if store::digest_file(&file).map_err(SessionError::io(&file))? != frame.blake3 {
+        let raws = [&record.off, &record.on].map(|frame| (&frame.file, &frame.blake3));
+        let jpegs = [&record.off, &record.on].into_iter().filter_map(|frame| frame.jpeg.as_ref());
+        for (name, digest) in raws.into_iter().chain(jpegs.map(|jpeg| (&jpeg.file, &jpeg.blake3))) {
+            let file = self.pair_dir(record.number).join(name);
+            if store::digest_file(&file).map_err(SessionError::io(&file))? != *digest {
                 return Ok(false);
             }
         }
@@ -124,13 +130,33 @@ pub fn original_file_name(role: &str, original_name: &str) -> String {
     format!("{role}.{}", extension.as_deref().unwrap_or("raw"))
 }
 
-fn frame_record(role: &str, frame: &NewFrame, blake3: String) -> FrameRecord {
+/// The record of a frame that is about to be written.
+pub fn frame_record(role: &str, frame: &NewFrame) -> FrameRecord {
+    record_of(role, frame, store::digest(frame.bytes))
+}
+
+/// File names and contents of a frame: the raw, and the JPEG where there is one.
+pub fn frame_files<'a>(record: &'a FrameRecord, frame: &NewFrame<'a>) -> Vec<(&'a str, &'a [u8])> {
+    let mut files = vec![(record.file.as_str(), frame.bytes)];
+    if let (Some(jpeg), Some((bytes, _))) = (&record.jpeg, frame.jpeg) {
+        files.push((jpeg.file.as_str(), bytes));
+    }
+    files
+}
+
+fn record_of(role: &str, frame: &NewFrame, blake3: String) -> FrameRecord {
     FrameRecord {
         file: original_file_name(role, frame.original_name),
         original_name: frame.original_name.to_owned(),
         bytes: frame.bytes.len() as u64,
         blake3,
         settings: frame.settings.clone(),
+        jpeg: frame.jpeg.map(|(bytes, name)| CompanionRecord {
+            file: format!("{role}.jpg"),
+            original_name: name.to_owned(),
+            bytes: bytes.len() as u64,
+            blake3: store::digest(bytes),
+        }),
     }
 }
 

@@ -11,11 +11,11 @@ mod error;
 mod journal;
 pub mod store;
 
-pub use commit::{Commit, NewFrame, NewPair, original_file_name};
+pub use commit::{Commit, NewFrame, NewPair, frame_files, frame_record, original_file_name};
 pub use error::SessionError;
 pub use journal::{Entry, Event, now as utc_now};
 
-use crate::pair::PairRecord;
+use crate::pair::{PairRecord, Plan, Window};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::fs::{File, OpenOptions, TryLockError};
@@ -42,13 +42,22 @@ pub struct Manifest {
     pub created: String,
     /// The software that made it.
     pub software: String,
+    /// At which settings its pairs are shot; set by the first pair, or before.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plan: Option<Plan>,
+    /// Where the object is; the whole frame if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub region: Option<Window>,
+    /// Settings of the exposure lock that the camera does not tell and the operator has confirmed, by name.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub confirmed: Vec<String>,
 }
 
 /// An open session; closing it (dropping) gives the lock back.
 #[derive(Debug)]
 pub struct Session {
     path: PathBuf,
-    manifest: Manifest,
+    manifest: Mutex<Manifest>,
     /// What commits need to know; `None` when open for reading.
     numbering: Option<Mutex<Numbering>>,
     /// Held, never read: the lock lives as long as the file is open.
@@ -95,6 +104,9 @@ impl Session {
             name: name.to_owned(),
             created: journal::now(),
             software: concat!("unlit ", env!("CARGO_PKG_VERSION")).to_owned(),
+            plan: None,
+            region: None,
+            confirmed: Vec::new(),
         };
         journal::append(&path.join(JOURNAL), Event::SessionCreated)?;
         let file = path.join(MANIFEST);
@@ -128,7 +140,8 @@ impl Session {
             let path = path.to_owned();
             return Err(SessionError::TooNew { path, found: manifest.schema, known: SCHEMA });
         }
-        let mut session = Session { path: path.to_owned(), manifest, numbering: None, _lock: lock };
+        let mut session =
+            Session { path: path.to_owned(), manifest: Mutex::new(manifest), numbering: None, _lock: lock };
         if access == Access::Alone {
             session.numbering = Some(Mutex::new(session.count()?));
         }
@@ -164,8 +177,41 @@ impl Session {
     }
 
     /// `session.json`.
-    pub fn manifest(&self) -> &Manifest {
-        &self.manifest
+    pub fn manifest(&self) -> Manifest {
+        self.manifest.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Changes `session.json`; on the disk when this returns. Nothing changes if it cannot be written.
+    fn amend(&self, change: impl FnOnce(&mut Manifest)) -> Result<(), SessionError> {
+        let _alone = self.numbering()?;
+        let mut manifest = self.manifest.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut changed = manifest.clone();
+        change(&mut changed);
+        if changed != *manifest {
+            let file = self.path.join(MANIFEST);
+            store::write_atomic(&file, &to_json(&file, &changed)?).map_err(SessionError::io(&file))?;
+            *manifest = changed;
+        }
+        Ok(())
+    }
+
+    /// Sets the exposures at which pairs are shot from now on.
+    pub fn set_plan(&self, plan: Plan) -> Result<(), SessionError> {
+        self.amend(|manifest| manifest.plan = Some(plan))
+    }
+
+    /// Sets where the object is; `None` is the whole frame.
+    pub fn set_region(&self, region: Option<Window>) -> Result<(), SessionError> {
+        self.amend(|manifest| manifest.region = region)
+    }
+
+    /// Notes that the operator has checked these settings of the exposure lock by eye.
+    pub fn confirm(&self, names: &[String]) -> Result<(), SessionError> {
+        self.amend(|manifest| {
+            manifest.confirmed.extend(names.iter().cloned());
+            manifest.confirmed.sort();
+            manifest.confirmed.dedup();
+        })
     }
 
     /// `pairs/`.

@@ -17,4 +17,11 @@ pub trait View: Send + Sync {
 
     /// A small JPEG of what the lens sees now, in the room's light.
     fn preview(&self) -> Vec<u8>;
+
+    /// The JPEG that the body makes of the frame just exposed, for image formats that have one. By default the
+    /// [`View::preview`].
+    fn jpeg(&self, exposure: &Exposure) -> Vec<u8> {
+        let _ = exposure;
+        self.preview()
+    }
 }

@@ -473,3 +473,76 @@ fn the_committed_document_is_the_one_that_the_program_prints() {
         "docs/openapi.json is not what the program says; mend it with: cargo run -- openapi > docs/openapi.json"
     );
 }
+
+#[test]
+fn the_camera_tells_its_dials_and_its_lock_and_is_set_by_its_labels() {
+    let house = House::open(Room::default().rig());
+    house.post("/api/v1/sessions", &json!({ "name": "vase" }));
+    let (status, camera) = house.get("/api/v1/camera");
+    assert_eq!(status, 200, "{camera}");
+    assert_eq!(camera["exposure"], json!({ "shutter_s": 0.008, "aperture": 11.0, "iso": 100.0 }));
+    assert!(camera["offered"]["apertures"].as_array().unwrap().contains(&json!(8.0)));
+    let lock = camera["lock"].as_array().unwrap();
+    assert_eq!((&lock[0]["name"], &lock[0]["state"]), (&json!("focus"), &json!("locked")));
+    assert_eq!(lock[1]["state"], "unreadable");
+
+    let put = |path: &str, body: Value| answer(agent().put(house.url(path)).send_json(body).unwrap());
+    let on = json!({ "shutter_s": 0.008, "aperture": 8, "iso": 100 });
+    let (status, plan) = put("/api/v1/sessions/vase/exposure", json!({ "on": on }));
+    assert_eq!((status, &plan["words"]), (200, &json!("1/125 s, f/8, ISO 100")), "{plan}");
+    let off_dial = json!({ "shutter_s": 0.008, "aperture": 1.8, "iso": 100 });
+    let (status, problem) = put("/api/v1/sessions/vase/exposure", json!({ "on": off_dial }));
+    assert_eq!((status, &problem["code"]), (400, &json!("value_invalid")), "{problem}");
+    assert_eq!(put("/api/v1/sessions/none/exposure", json!({ "on": on })).0, 404);
+
+    let (_, job) = house.post_nothing("/api/v1/pairs?wait=true");
+    assert_eq!(job["state"], "done", "{job}");
+    let (_, pairs) = house.get("/api/v1/sessions/vase/pairs");
+    assert!(pairs[0]["on"]["settings"].as_str().unwrap().contains("f/8"), "{pairs}");
+}
+
+#[test]
+fn region_and_confirmations_stay_with_the_session() {
+    let house = House::open(Room::default().rig());
+    house.post("/api/v1/sessions", &json!({ "name": "vase" }));
+    let put =
+        |body: Value| answer(agent().put(house.url("/api/v1/sessions/vase/region")).send_json(body).unwrap());
+    let region = json!({ "x": 0.25, "y": 0.25, "width": 0.5, "height": 0.5 });
+    assert_eq!(put(region.clone()).0, 204);
+    assert_eq!(put(json!({ "x": 0.8, "y": 0.0, "width": 0.5, "height": 0.5 })).1["code"], "region_invalid");
+    let (_, confirmed) =
+        house.post("/api/v1/sessions/vase/confirmed", &json!({ "names": ["mirror_lock_up"] }));
+    assert_eq!(confirmed["names"], json!(["mirror_lock_up"]));
+    let (_, session) = house.get("/api/v1/sessions/vase");
+    assert_eq!((&session["region"], &session["confirmed"]), (&region, &json!(["mirror_lock_up"])));
+
+    house.post_nothing("/api/v1/pairs?wait=true");
+    let (status, figures) = house.get("/api/v1/sessions/vase/pairs/1/on/histogram");
+    assert_eq!((status, &figures["region"]), (200, &json!([48, 32, 96, 64])), "{figures}");
+    let red = &figures["colours"][0];
+    let bins: u64 = red["bins"].as_array().unwrap().iter().map(|b| b.as_u64().unwrap()).sum();
+    assert_eq!(
+        bins + red["below_black"].as_u64().unwrap() + red["at_saturation"].as_u64().unwrap(),
+        96 * 64 / 4
+    );
+    assert_eq!(put(Value::Null).0, 204);
+    assert_eq!(house.get("/api/v1/sessions/vase").1["region"], Value::Null);
+}
+
+#[test]
+fn live_pictures_come_as_a_still_and_as_a_stream() {
+    let house = House::open(Room::default().rig());
+    let mut still = agent().get(house.url("/api/v1/live.jpg")).call().unwrap();
+    assert_eq!(still.headers()["content-type"], "image/jpeg");
+    assert_eq!(still.body_mut().read_to_vec().unwrap(), [0xff, 0xd8, 0xff, 0xd9]);
+    let stream = agent().get(house.url("/api/v1/live.mjpg")).call().unwrap();
+    assert!(stream.headers()["content-type"].to_str().unwrap().starts_with("multipart/x-mixed-replace"));
+    let mut lines = BufReader::new(stream.into_body().into_reader()).split(b'\n');
+    for _ in 0..2 {
+        let boundary = lines.by_ref().map(Result::unwrap).find(|line| line.starts_with(b"--"));
+        assert!(boundary.is_some());
+    }
+    let none = House::open(Room::with(Trouble::NoCamera).rig());
+    let (status, problem) = none.get("/api/v1/live.jpg");
+    assert_eq!((status, &problem["code"]), (503, &json!("no_live_picture")), "{problem}");
+}

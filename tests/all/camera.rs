@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use unlit::pair::{Dial, Exposure};
-use unlit::rig::camera::{Deadlines, HostedCamera, list_with};
+use unlit::rig::camera::{Deadlines, HostedCamera, Launch, Target, list_with};
 use unlit::rig::{Camera, CameraError};
 use unlit::studio::View;
 use unlit::studio::camera::{CameraServer, Fault};
@@ -13,23 +13,23 @@ use unlit::units::{FNumber, Iso, Seconds};
 
 /// Gives a different blob for each frame, longer than one download chunk, and remembers the exposures.
 #[derive(Default)]
-struct Blobs {
-    frames: AtomicU32,
-    exposures: Mutex<Vec<Exposure>>,
+pub(crate) struct Blobs {
+    pub(crate) frames: AtomicU32,
+    pub(crate) exposures: Mutex<Vec<Exposure>>,
 }
 
-fn blob(number: u32) -> Vec<u8> {
+pub(crate) fn blob(number: u32) -> Vec<u8> {
     (0..1_300_000 + number)
         .map(|i| (i.wrapping_mul(2_654_435_761).wrapping_add(number) >> 13) as u8)
         .collect()
 }
 
 /// A JPEG's markers round nothing: libgphoto2 looks at no more.
-const PREVIEW: &[u8] = &[0xff, 0xd8, 0xff, 0xe0, 1, 2, 3, 4, 0xff, 0xd9];
+pub(crate) const PREVIEW: &[u8] = &[0xff, 0xd8, 0xff, 0xe0, 1, 2, 3, 4, 0xff, 0xd9];
 
 impl View for Blobs {
     fn expose(&self, exposure: &Exposure) -> Vec<u8> {
-        self.exposures.lock().unwrap().push(exposure.clone());
+        self.exposures.lock().unwrap().push(*exposure);
         blob(self.frames.fetch_add(1, Ordering::SeqCst))
     }
 
@@ -38,31 +38,39 @@ impl View for Blobs {
     }
 }
 
-struct Studio {
-    view: Arc<Blobs>,
-    server: CameraServer,
+pub(crate) struct Studio {
+    pub(crate) view: Arc<Blobs>,
+    pub(crate) server: CameraServer,
 }
 
 impl Studio {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let view = Arc::new(Blobs::default());
         Self { server: CameraServer::start(view.clone()).unwrap(), view }
     }
 
-    fn camera(&self) -> HostedCamera {
+    pub(crate) fn camera(&self) -> HostedCamera {
         self.camera_with(Deadlines::default())
     }
 
-    fn camera_with(&self, deadlines: Deadlines) -> HostedCamera {
-        HostedCamera::open_with(program(), Some(&self.server.port()), deadlines).unwrap()
+    pub(crate) fn camera_with(&self, deadlines: Deadlines) -> HostedCamera {
+        open(&self.server.port(), deadlines).unwrap()
     }
 
-    fn frames(&self) -> u32 {
+    pub(crate) fn frames(&self) -> u32 {
         self.view.frames.load(Ordering::SeqCst)
     }
 }
 
-fn program() -> &'static Path {
+pub(crate) fn launch() -> Launch {
+    Launch::new(program())
+}
+
+pub(crate) fn open(port: &str, deadlines: Deadlines) -> Result<HostedCamera, CameraError> {
+    HostedCamera::open_with(&launch(), Some(port), deadlines, Target::Memory)
+}
+
+pub(crate) fn program() -> &'static Path {
     Path::new(env!("CARGO_BIN_EXE_unlit"))
 }
 
@@ -91,7 +99,7 @@ fn shots_in_a_row_bring_each_frame_once_and_whole() {
     for number in 0..3 {
         let began = Instant::now();
         let shot = camera.shoot().unwrap();
-        eprintln!("shot {number}: {} bytes in {:?}", shot.raw.bytes.len(), began.elapsed());
+        eprintln!("shot {number}: {} bytes in {:?}: {:?}", shot.raw.bytes.len(), began.elapsed(), shot.times);
         assert!(shot.raw.bytes == blob(number), "frame {number} is not what the sensor gave");
         assert!(shot.raw.name.ends_with(".cr2"), "{}", shot.raw.name);
         assert_eq!(studio.frames(), number + 1);
@@ -178,8 +186,9 @@ fn a_host_whose_driver_died_ends_even_inside_a_library_that_spins() {
         .stdin(std::os::fd::OwnedFd::from(theirs))
         .spawn()
         .unwrap();
-    let open = br#""open""#;
-    ours.write_all(&[&6_u32.to_le_bytes()[..], &0_u64.to_le_bytes()[..], open].concat()).unwrap();
+    let open = br#"{"open":{"target":"memory","frame_owed":false}}"#;
+    let length = u32::try_from(open.len()).unwrap();
+    ours.write_all(&[&length.to_le_bytes()[..], &0_u64.to_le_bytes()[..], open].concat()).unwrap();
     ours.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
     let silence = std::io::Read::read(&mut ours, &mut [0]).unwrap_err();
     assert_eq!(silence.kind(), std::io::ErrorKind::WouldBlock, "the library should spin by now");
@@ -200,7 +209,7 @@ fn a_library_that_spins_for_ever_is_killed_at_the_deadline() {
     studio.server.fault(Fault::NoRoom);
     let deadlines = Deadlines { open: Duration::from_secs(2), ..Deadlines::default() };
     let began = Instant::now();
-    let error = HostedCamera::open_with(program(), Some(&studio.server.port()), deadlines).err().unwrap();
+    let error = open(&studio.server.port(), deadlines).err().unwrap();
     assert!(matches!(error, CameraError::Deadline { .. }), "{error}");
     assert!(began.elapsed() < Duration::from_secs(4), "took {:?}", began.elapsed());
     studio.server.mend();
@@ -234,7 +243,7 @@ fn a_link_lost_in_a_download_fails_that_shot_and_no_other() {
     studio.server.fault(Fault::DropInDownload);
     let error = camera.shoot().unwrap_err();
     eprintln!("{error}");
-    assert!(matches!(error, CameraError::Refused { .. } | CameraError::Deadline { .. }), "{error}");
+    assert!(matches!(error, CameraError::Lost { .. } | CameraError::Deadline { .. }), "{error}");
     assert!(camera.shoot().unwrap().raw.bytes == blob(1), "never the frame of the shot before");
 }
 
@@ -243,13 +252,13 @@ fn a_port_where_nobody_listens_is_not_found() {
     let studio = Studio::new();
     let port = studio.server.port();
     drop(studio);
-    let error = HostedCamera::open_with(program(), Some(&port), Deadlines::default()).err().unwrap();
+    let error = open(&port, Deadlines::default()).err().unwrap();
     assert!(matches!(&error, CameraError::NotFound { hint } if hint.contains(&port)), "{error}");
 }
 
 #[test]
 fn cameras_are_listed_by_a_process_that_goes_away() {
-    for camera in list_with(program()).unwrap() {
+    for camera in list_with(&launch()).unwrap() {
         assert!(camera.port.contains(':'), "{camera:?}");
     }
 }

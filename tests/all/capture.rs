@@ -1,16 +1,17 @@
 //! One pair from arming to commit, with rigs that misbehave.
 
-use crate::fake_rig::{Room, Trouble};
+use crate::fake_rig::{DIALS, Room, Trouble};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 use unlit::capture::{
-    CaptureError, Engine, Events, FlashKind, RigSource, calibration_frames, calibration_shots,
+    CaptureError, Engine, Events, FlashKind, LivePicture, RigSource, calibration_frames, calibration_shots,
 };
-use unlit::pair::{Limits, PairRecord, ReasonCode, Verdict};
+use unlit::pair::{Exposure, Limits, PairRecord, Plan, ReasonCode, Verdict};
 use unlit::progress::Progress;
 use unlit::session::Session;
+use unlit::units::Iso;
 
 struct Shoot {
     folder: TempDir,
@@ -210,4 +211,88 @@ fn card_shots_are_numbered_by_distance_and_kept_beside_the_pairs() {
         assert_eq!(unlit::session::store::digest_file(&on).unwrap(), shot.on.blake3);
     }
     assert!(shoot.session.pairs().unwrap().is_empty());
+}
+
+#[test]
+fn a_camera_that_hangs_is_brought_back_and_both_frames_are_shot_again() {
+    for release in [0, 1] {
+        let room = Room::with(Trouble::HangsAt(release));
+        let shoot = shoot_with(room.rig());
+        let (_, mut heard) = shoot.events.listen();
+        let pair = shoot.pair().unwrap();
+        assert_eq!((pair.number, pair.verdict), (1, Verdict::Accepted), "{:?}", pair.reasons);
+        let log = room.log();
+        let brought_back = log.iter().position(|l| *l == "recover").unwrap();
+        assert_eq!(log[brought_back + 1..], ["disarm", "shoot", "arm", "shoot", "disarm"]);
+        assert_eq!(shoot.session.pairs().unwrap().len(), 1, "no pair is lost or doubled");
+        let told: Vec<_> = std::iter::from_fn(|| heard.try_recv().ok()).collect();
+        let words: Vec<_> = told.iter().map(|e| (e.topic.name(), e.words.as_str())).collect();
+        assert!(words[0].0 == "recovery" && words[0].1.contains("take a picture"), "{words:?}");
+        assert_eq!(words[1], ("recovery", "The camera is back (opened anew)."));
+        assert!(shoot.journal().contains("pair_abandoned"));
+    }
+}
+
+#[test]
+fn the_first_pair_sets_the_plan_and_later_ones_keep_to_it() {
+    let room = Room::default();
+    let shoot = shoot_with(room.rig());
+    shoot.pair().unwrap();
+    let plan = shoot.session.manifest().plan.unwrap();
+    assert_eq!(plan, Plan { off: DIALS, on: DIALS });
+    room.turn(Exposure { iso: Iso(400.0), ..DIALS });
+    let pair = shoot.pair().unwrap();
+    assert_eq!(pair.verdict, Verdict::Accepted, "{:?}", pair.reasons);
+    assert_eq!((pair.off.settings.iso, pair.on.settings.iso), (Some(Iso(100.0)), Some(Iso(100.0))));
+    let reopened = Session::open_shared(shoot.session.path());
+    assert!(reopened.is_err(), "locked while it is in use");
+    let path = shoot.session.path().to_owned();
+    drop(shoot.session);
+    assert_eq!(Session::open(&path).unwrap().manifest().plan, Some(plan));
+}
+
+#[test]
+fn a_camera_that_does_not_obey_shoots_no_pair() {
+    let room = Room::default();
+    let shoot = shoot_with(room.rig());
+    shoot.pair().unwrap();
+    room.turn(Exposure { iso: Iso(400.0), ..DIALS });
+    room.set(Trouble::Disobeys);
+    let error = shoot.pair().unwrap_err();
+    assert_eq!(error.code(), "exposure_not_set");
+    assert!(error.to_string().contains("ISO 400") && error.to_string().contains("ISO 100"), "{error}");
+    assert_eq!(shoot.session.pairs().unwrap().len(), 1);
+}
+
+#[test]
+fn a_setting_that_would_spoil_every_pair_refuses_them_until_it_is_mended() {
+    let room = Room::with(Trouble::Autofocus);
+    let shoot = shoot_with(room.rig());
+    let error = shoot.pair().unwrap_err();
+    assert_eq!(error.code(), "camera_not_locked");
+    assert!(error.to_string().contains("switch the lens to MF"), "{error}");
+    assert!(!room.log().contains(&"shoot"));
+    room.set(Trouble::None);
+    assert_eq!(shoot.pair().unwrap().verdict, Verdict::Accepted);
+}
+
+#[test]
+fn the_newest_live_picture_wins_and_pairs_go_first() {
+    let room = Room::default();
+    let shoot = shoot_with(room.rig());
+    let engine = Arc::new(shoot.engine);
+    let mut watcher = engine.watch_live().unwrap();
+    let end = Instant::now() + Duration::from_secs(10);
+    while !matches!(&*watcher.borrow_and_update(), LivePicture::Jpeg(_)) {
+        assert!(Instant::now() < end, "no picture");
+        std::thread::yield_now();
+    }
+    let pair = engine.shoot_pair(&shoot.session, None, &Progress::silent()).unwrap();
+    assert_eq!(pair.verdict, Verdict::Accepted);
+    drop(watcher);
+    while !room.log().contains(&"end preview") {
+        assert!(Instant::now() < end, "live view was not ended with its last watcher");
+        std::thread::yield_now();
+    }
+    drop(engine.watch_live().unwrap());
 }

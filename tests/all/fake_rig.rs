@@ -1,16 +1,14 @@
 //! A camera and a flash without wires, for tests of what drives them. The camera's files are real DNGs; the
 //! flash lights a frame if and only if it was armed.
 
+use crate::wall::{photo, settings};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use unlit::capture::{FlashKind, RigSource};
-use unlit::codec::dng::{self, DngContent};
-use unlit::pair::{Dial, Offered, Settings};
-use unlit::photometry::{Cfa, LevelSource, Levels, Mosaic};
-use unlit::raster::Image;
+use unlit::pair::{Dial, Exposure, Offered, Settings};
 use unlit::rig::{
-    Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, LockReport, Shot, ShotFile,
-    ShotTimes,
+    Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, LockItem, LockReport,
+    LockState, Shot, ShotFile, ShotTimes,
 };
 use unlit::units::{FNumber, Iso, Seconds};
 
@@ -32,6 +30,12 @@ pub(crate) enum Trouble {
     CutsFile(u32),
     /// The camera refuses its n-th release, counted from 0.
     Refuses(u32),
+    /// The camera falls silent at its n-th release, counted from 0, and is well again once brought back.
+    HangsAt(u32),
+    /// The camera takes every setting and changes none.
+    Disobeys,
+    /// Autofocus is on, and only the photographer can switch it off.
+    Autofocus,
     /// No camera is plugged in.
     NoCamera,
 }
@@ -42,7 +46,18 @@ struct Inside {
     armed: Option<u32>,
     syncs: Vec<FlashShot>,
     releases: u32,
+    dials: Option<Exposure>,
     log: Vec<&'static str>,
+}
+
+/// Where the dials stand at first.
+pub(crate) const DIALS: Exposure =
+    Exposure { shutter: Seconds(1.0 / 125.0), aperture: FNumber(11.0), iso: Iso(100.0) };
+
+impl Inside {
+    fn dials(&self) -> Exposure {
+        self.dials.unwrap_or(DIALS)
+    }
 }
 
 /// The room that camera and flash share; clones are the same room.
@@ -60,6 +75,11 @@ impl Room {
         let mut inside = self.0.lock().unwrap();
         inside.trouble = trouble;
         inside.releases = 0;
+    }
+
+    /// Somebody turns the camera's dials.
+    pub(crate) fn turn(&self, dials: Exposure) {
+        self.0.lock().unwrap().dials = Some(dials);
     }
 
     /// What camera and flash were asked to do, in order.
@@ -82,7 +102,8 @@ impl Room {
     pub(crate) fn rig(&self) -> RigSource {
         let (camera, flash) = (self.clone(), self.clone());
         RigSource {
-            camera: Box::new(move || camera.camera()),
+            camera: Box::new(move |_| camera.camera()),
+            cameras: Box::new(|| Ok(vec![])),
             flash: Box::new(move || Ok(FlashKind::Controller(Box::new(FakeFlash(flash.clone()))))),
         }
     }
@@ -90,7 +111,11 @@ impl Room {
     /// The camera, and a flash of the given other kind.
     pub(crate) fn rig_with(&self, flash: fn() -> FlashKind) -> RigSource {
         let camera = self.clone();
-        RigSource { camera: Box::new(move || camera.camera()), flash: Box::new(move || Ok(flash())) }
+        RigSource {
+            camera: Box::new(move |_| camera.camera()),
+            cameras: Box::new(|| Ok(vec![])),
+            flash: Box::new(move || Ok(flash())),
+        }
     }
 
     /// For a flash that is switched by hand: whether it is on.
@@ -107,23 +132,58 @@ impl Camera for FakeCamera {
     }
 
     fn settings(&mut self) -> Result<Settings, CameraError> {
-        Ok(settings())
+        Ok(settings(self.0.0.lock().unwrap().dials()))
     }
 
     fn offered(&mut self) -> Result<Offered, CameraError> {
         Ok(Offered {
-            shutters: vec![Seconds(1.0 / 60.0), Seconds(1.0 / 125.0)],
-            apertures: vec![FNumber(8.0), FNumber(11.0)],
-            isos: vec![Iso(100.0), Iso(200.0)],
+            shutters: [30.0, 60.0, 125.0, 160.0, 200.0].map(|v| Seconds(1.0 / v)).into(),
+            apertures: [4.0, 5.6, 6.3, 7.1, 8.0, 9.0, 10.0, 11.0, 13.0, 14.0, 16.0, 22.0].map(FNumber).into(),
+            isos: [100.0, 125.0, 160.0, 200.0, 400.0].map(Iso).into(),
         })
     }
 
     fn set(&mut self, dial: Dial) -> Result<(), CameraError> {
-        Err(CameraError::Refused { operation: format!("turn {dial:?}"), reason: "fake".into() })
+        let mut room = self.0.0.lock().unwrap();
+        if room.trouble != Trouble::Disobeys {
+            let mut dials = room.dials();
+            match dial {
+                Dial::Shutter(value) => dials.shutter = value,
+                Dial::Aperture(value) => dials.aperture = value,
+                Dial::Iso(value) => dials.iso = value,
+            }
+            room.dials = Some(dials);
+        }
+        Ok(())
     }
 
     fn lock(&mut self) -> Result<LockReport, CameraError> {
-        Ok(LockReport::default())
+        let focus = match self.0.0.lock().unwrap().trouble {
+            Trouble::Autofocus => (LockState::Wrong, "Focus is automatic; switch the lens to MF."),
+            _ => (LockState::Locked, "Focus is manual."),
+        };
+        let item = |name: &str, (state, sentence): (LockState, &str)| LockItem {
+            name: name.into(),
+            state,
+            value: String::new(),
+            sentence: sentence.into(),
+        };
+        let mirror = (LockState::Unreadable, "Check in the menu that mirror lock-up is off.");
+        Ok(LockReport { items: vec![item("focus", focus), item("mirror_lock_up", mirror)] })
+    }
+
+    fn end_preview(&mut self) -> Result<(), CameraError> {
+        self.0.0.lock().unwrap().log.push("end preview");
+        Ok(())
+    }
+
+    fn recover(&mut self) -> Result<Vec<String>, CameraError> {
+        let mut room = self.0.0.lock().unwrap();
+        room.log.push("recover");
+        if matches!(room.trouble, Trouble::HangsAt(_)) {
+            room.trouble = Trouble::None;
+        }
+        Ok(vec!["opened anew".into()])
     }
 
     fn preview(&mut self) -> Result<Vec<u8>, CameraError> {
@@ -138,6 +198,10 @@ impl Camera for FakeCamera {
         if room.trouble == Trouble::Refuses(release) {
             return Err(CameraError::Refused { operation: "release".into(), reason: "mirror up".into() });
         }
+        if room.trouble == Trouble::HangsAt(release) {
+            let deadline = Duration::from_secs(10);
+            return Err(CameraError::Deadline { operation: "take a picture".into(), deadline });
+        }
         let tag = room.armed.take();
         let triggered = tag.is_some() && room.trouble != Trouble::NoContact;
         let fires_anyway = room.trouble == Trouble::FiresInTheDark && tag.is_none();
@@ -151,7 +215,7 @@ impl Camera for FakeCamera {
             });
         }
         let gain = if room.trouble == Trouble::Overexposed { 8.0 } else { 1.0 };
-        let mut bytes = photo(if lit { gain } else { 0.0 }, release);
+        let mut bytes = photo(if lit { gain } else { 0.0 }, release, room.dials());
         if room.trouble == Trouble::CutsFile(release) {
             bytes.truncate(bytes.len() / 2);
         }
@@ -184,39 +248,4 @@ impl Flash for FakeFlash {
     fn syncs(&mut self, _patience: Duration) -> Result<Vec<FlashShot>, FlashError> {
         Ok(std::mem::take(&mut self.0.0.lock().unwrap().syncs))
     }
-}
-
-fn settings() -> Settings {
-    Settings {
-        make: Some("Fake".into()),
-        model: Some("Fake 1".into()),
-        shutter: Some(Seconds(1.0 / 125.0)),
-        aperture: Some(FNumber(11.0)),
-        iso: Some(Iso(100.0)),
-        ..Settings::default()
-    }
-}
-
-/// A textured wall in the room's light plus `flash` times the flash's light, with a little noise that
-/// differs from frame to frame.
-fn photo(flash: f64, frame: u32) -> Vec<u8> {
-    let dn = Image::from_fn(192, 128, |x, y| {
-        let hash = |seed: u64| {
-            let mut h = (x as u64 / 2) << 32 ^ (y as u64 / 2) << 8 ^ seed;
-            h = (h ^ (h >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            h = (h ^ (h >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            ((h ^ (h >> 31)) & 0xffff) as f64 / 65535.0
-        };
-        let wall = 0.3 + 0.3 * ((x as f64 / 17.0).sin() * (y as f64 / 13.0).cos()).abs() + 0.2 * hash(1);
-        let noise = (hash(u64::from(frame) * 1000 + (x % 2 * 2 + y % 2) as u64) - 0.5) * 20.0;
-        (2048.0 + wall * (1500.0 + 6000.0 * flash) + noise).clamp(0.0, 15300.0) as u16
-    });
-    let levels = Levels {
-        black: [[2048.0; 2]; 2],
-        saturation: [[15300.0; 2]; 2],
-        black_source: LevelSource::FileTag,
-        saturation_source: LevelSource::FileTag,
-    };
-    let mosaic = Mosaic { dn, cfa: Cfa::RGGB, levels };
-    dng::encode(&DngContent { mosaic: &mosaic, settings: &settings(), masked_left: None }).unwrap()
 }

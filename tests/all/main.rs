@@ -5,6 +5,7 @@
 mod api;
 mod birdbath;
 mod camera;
+mod camera_faults;
 mod capture;
 mod decoders;
 mod evaluate;
@@ -19,3 +20,4 @@ mod samples;
 mod scene_import;
 mod session;
 mod studio_world;
+mod wall;

@@ -4,7 +4,7 @@ use crate::samples::shared;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use unlit::codec::raw;
-use unlit::pair::{Expected, FrameView, Limits, Reason, ReasonCode, Settings, Verdict, judge_expecting};
+use unlit::pair::{Expected, Judgement, Limits, Reason, ReasonCode, Stop, Verdict};
 use unlit::pipeline::pairs::{self, ImportError};
 use unlit::progress::Progress;
 use unlit::session::{Session, SessionError};
@@ -13,8 +13,13 @@ fn birdbath(relative: &str) -> PathBuf {
     shared("scenes/birdbath").join(relative)
 }
 
+fn judged_against(earlier: &[Stop], off: &str, on: &str) -> Judgement {
+    let expected = Expected { earlier, ..Expected::default() };
+    pairs::judge(&raw::read(&birdbath(off)), &raw::read(&birdbath(on)), &expected, &Limits::default())
+}
+
 fn judged(off: &str, on: &str) -> Vec<Reason> {
-    pairs::judge(&raw::read(&birdbath(off)), &raw::read(&birdbath(on)), &Limits::default())
+    judged_against(&[], off, on).reasons
 }
 
 fn codes(reasons: &[Reason]) -> Vec<ReasonCode> {
@@ -22,10 +27,21 @@ fn codes(reasons: &[Reason]) -> Vec<ReasonCode> {
 }
 
 #[test]
-fn every_pair_of_the_bird_bath_is_accepted() {
-    for i in 0..24 {
-        let reasons = judged(&format!("photos/off/{i:03}.dng"), &format!("photos/on/{i:03}.dng"));
-        assert_eq!(reasons, [], "pair {i:03}");
+fn every_pair_of_the_bird_bath_is_accepted_also_when_held_against_all_others() {
+    let names: Vec<[String; 2]> =
+        (0..24).map(|i| ["off", "on"].map(|f| format!("photos/{f}/{i:03}.dng"))).collect();
+    let mut stops = vec![];
+    for [off, on] in &names {
+        let judgement = judged_against(&[], off, on);
+        assert_eq!(judgement.reasons, [], "{on}");
+        stops.push(judgement.stop.unwrap());
+    }
+    let limits = Limits::default();
+    for (i, [off, on]) in names.iter().enumerate() {
+        let others: Vec<Stop> =
+            stops.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, s)| s.clone()).collect();
+        assert!(!others.iter().any(|other| other.is_same_stop(&stops[i], &limits)), "{on}");
+        assert_eq!(judged_against(&others, off, on).reasons, [], "{on}");
     }
 }
 
@@ -51,15 +67,24 @@ fn a_pair_that_went_wrong_is_rejected_for_the_right_reason_alone() {
 
 #[test]
 fn a_weak_flash_is_told_from_the_same_stop_shot_before() {
-    let read = |name: &str| raw::read(&birdbath(name)).unwrap();
-    let earlier = (read("photos/off/012.dng"), read("photos/on/012.dng"));
-    let settings = Settings::default();
-    for (name, expected) in [("weak", vec![ReasonCode::Weak]), ("good", vec![])] {
-        let (off, on) = (read(&format!("bad/{name}_off.dng")), read(&format!("bad/{name}_on.dng")));
-        let view = |photo| FrameView { mosaic: photo, settings: &settings };
-        let expectation = Expected { plan: None, earlier: Some((&earlier.0.mosaic, &earlier.1.mosaic)) };
-        let reasons = judge_expecting(view(&off.mosaic), view(&on.mosaic), &expectation, &Limits::default());
-        assert_eq!(codes(&reasons), expected, "{name}: {reasons:#?}");
+    let earlier: Vec<Stop> = (0..24)
+        .filter_map(|i| {
+            judged_against(&[], &format!("photos/off/{i:03}.dng"), &format!("photos/on/{i:03}.dng")).stop
+        })
+        .collect();
+    for (name, expected) in [
+        ("weak", vec![ReasonCode::Weak]),
+        ("good", vec![]),
+        ("ambient_changed", vec![ReasonCode::AmbientChanged]),
+        ("moved", vec![ReasonCode::Moved]),
+        ("overexposed", vec![ReasonCode::Overexposed]),
+    ] {
+        let judgement =
+            judged_against(&earlier, &format!("bad/{name}_off.dng"), &format!("bad/{name}_on.dng"));
+        assert_eq!(codes(&judgement.reasons), expected, "{name}: {:#?}", judgement.reasons);
+        let same = |stop: &Stop| judgement.stop.as_ref().unwrap().is_same_stop(stop, &Limits::default());
+        let known: Vec<usize> = (0..24).filter(|&i| same(&earlier[i])).collect();
+        assert_eq!(known, [12], "{name}");
     }
 }
 
@@ -120,6 +145,62 @@ fn import_stores_all_pairs_says_what_is_wrong_and_ends_with_3() {
         text(&again.stdout).contains("0 pairs stored, 3 there already, 2 rejected"),
         "{}",
         text(&again.stdout)
+    );
+}
+
+/// Folders `off` and `on` with one pair of the bird bath under `name`.
+fn one_pair(home: &Path, name: &str, from: [&str; 2]) -> [String; 2] {
+    let folders = ["off", "on"].map(|frame| home.join(name).join(frame));
+    for (folder, from) in folders.iter().zip(from) {
+        std::fs::create_dir_all(folder).unwrap();
+        std::fs::write(folder.join(format!("{name}.dng")), std::fs::read(birdbath(from)).unwrap()).unwrap();
+    }
+    folders.map(|f| f.display().to_string())
+}
+
+#[test]
+fn a_weak_pair_that_comes_after_its_good_twin_ends_the_import_with_3() {
+    let home = tempfile::tempdir().unwrap();
+    let session = home.path().join("bath").display().to_string();
+    assert!(unlit(&["new", &session], home.path()).status.success());
+    let import = |[off, on]: [String; 2]| {
+        let out = unlit(&["import", "pairs", &session, "--off", &off, "--on", &on], home.path());
+        (out.status.code(), text(&out.stdout))
+    };
+    let (code, said) = import(one_pair(home.path(), "first", ["photos/off/012.dng", "photos/on/012.dng"]));
+    assert_eq!(code, Some(0), "{said}");
+    let signature = Path::new(&session).join("derived/stops/0001.json");
+    let kept = std::fs::read(&signature).unwrap();
+    // Whatever lies in `derived` can be made again.
+    std::fs::remove_file(&signature).unwrap();
+    let (code, said) = import(one_pair(home.path(), "again", ["bad/weak_off.dng", "bad/weak_on.dng"]));
+    assert_eq!(code, Some(3), "{said}");
+    assert!(said.contains("of the light that it gave from this stop before"), "{said}");
+    assert_eq!(std::fs::read(&signature).unwrap(), kept);
+    assert!(!Path::new(&session).join("derived/stops/0002.json").exists());
+    let (code, said) = import(one_pair(home.path(), "good", ["bad/good_off.dng", "bad/good_on.dng"]));
+    assert_eq!(code, Some(0), "{said}");
+}
+
+#[test]
+fn a_lit_frame_that_is_already_in_the_session_is_repeated_and_a_shared_unlit_one_is_not() {
+    let home = tempfile::tempdir().unwrap();
+    let session = Session::create(&home.path().join("bath"), "bath").unwrap();
+    let import = |[off, on]: [String; 2]| {
+        let (limits, silent) = (Limits::default(), Progress::silent());
+        let summary =
+            pairs::import(&session, Path::new(&off), Path::new(&on), &limits, &silent, |_| {}).unwrap();
+        codes(&summary.imported[0].record.reasons)
+    };
+    let good = ["bad/good_off.dng", "bad/good_on.dng"];
+    assert_eq!(import(one_pair(home.path(), "a", good)), []);
+    // The same files under the same name are passed over.
+    assert_eq!(import(one_pair(home.path(), "a", good)), []);
+    assert_eq!(import(one_pair(home.path(), "b", good)), [ReasonCode::Repeated]);
+    assert_eq!(import(one_pair(home.path(), "c", ["bad/good_off.dng"; 2])), [ReasonCode::Repeated]);
+    assert_eq!(
+        import(one_pair(home.path(), "d", ["bad/misfire_off.dng", "bad/misfire_on.dng"])),
+        [ReasonCode::Misfire]
     );
 }
 
@@ -200,7 +281,7 @@ fn inspect_tells_true_sensor_values_as_json() {
 fn inspect_of_every_sample_gives_values_or_says_what_to_do() {
     let home = tempfile::tempdir().unwrap();
     for (name, expected) in [
-        ("small_5DS.cr2", Ok("saturation    14466.00 DN, from the decoder's table")),
+        ("small_5DS.cr2", Ok("saturation    14733.00 DN, from published measurements of this body")),
         ("dng16_as5DS.dng", Ok("the frame's masked pixels")),
         ("dng16_perchblack.dng", Ok("red histogram of the region: 100 bins")),
         ("dng14_tiffcrate.dng", Ok("1056 x 736 pixels, filters RG/GB")),
@@ -224,6 +305,41 @@ fn inspect_of_every_sample_gives_values_or_says_what_to_do() {
             }
         }
     }
+}
+
+#[test]
+fn a_session_measures_where_its_sensor_clips_and_judges_by_it() {
+    let home = tempfile::tempdir().unwrap();
+    let session = home.path().join("bath").display().to_string();
+    assert!(unlit(&["new", &session], home.path()).status.success());
+    let blown = birdbath("calibration/white/d0500_1.dng").display().to_string();
+    let dark = birdbath("calibration/dark/0.dng").display().to_string();
+    let lit = birdbath("bad/good_on.dng").display().to_string();
+    for unfit in [&dark, &lit] {
+        let out = unlit(&["calibrate", "saturation", &session, unfit], home.path());
+        assert_eq!(out.status.code(), Some(1), "{unfit}: {}", text(&out.stdout));
+        assert!(text(&out.stderr).contains("sites are not blown"), "{}", text(&out.stderr));
+    }
+    let out = unlit(&["calibrate", "saturation", &session, &blown], home.path());
+    assert!(out.status.success(), "{}{}", text(&out.stdout), text(&out.stderr));
+    let table = pipeline_saturation(&session);
+    assert_eq!(table.entries.len(), 1);
+    // The studio's sensor clips at 15380 and the file says so.
+    for level in table.entries[0].saturation.concat() {
+        assert!((15_370.0..=15_380.0).contains(&level), "{level}");
+    }
+    let told = unlit(&["inspect", &lit, "--session", &session], home.path());
+    assert!(text(&told.stdout).contains("from calibration shots"), "{}", text(&told.stdout));
+    let told = unlit(&["inspect", &lit], home.path());
+    assert!(
+        text(&told.stdout).contains("saturation    15380.00 DN, from the file's tag"),
+        "{}",
+        text(&told.stdout)
+    );
+}
+
+fn pipeline_saturation(session: &str) -> unlit::photometry::saturation::SaturationTable {
+    unlit::pipeline::saturation::load(&Session::open_shared(Path::new(session)).unwrap()).unwrap()
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! One file a subject. The path of each handler is written once, beside it.
 
+mod camera;
 mod events;
 mod files;
 mod jobs;
@@ -37,6 +38,14 @@ pub(super) fn all() -> OpenApiRouter<App> {
         .routes(routes!(pairs::confirm))
         .routes(routes!(jobs::list))
         .routes(routes!(jobs::one, jobs::cancel))
+        .routes(routes!(camera::list))
+        .routes(routes!(camera::state, camera::choose))
+        .routes(routes!(camera::live))
+        .routes(routes!(camera::still))
+        .routes(routes!(camera::set_exposure))
+        .routes(routes!(camera::set_region))
+        .routes(routes!(camera::confirm))
+        .routes(routes!(camera::histogram))
         .routes(routes!(events::listen))
         .routes(routes!(files::fetch))
         .routes(routes!(processing::shoot_card))
@@ -64,6 +73,8 @@ impl From<DeskError> for Problem {
         let (status, code) = match &error {
             DeskError::BadName(_) => (StatusCode::BAD_REQUEST, "session_name_invalid"),
             DeskError::BadValue(_) => (StatusCode::BAD_REQUEST, "value_invalid"),
+            DeskError::Window(_) => (StatusCode::BAD_REQUEST, "region_invalid"),
+            DeskError::Capture(error) => (StatusCode::SERVICE_UNAVAILABLE, error.code()),
             DeskError::NoSuchSession(_) => (StatusCode::NOT_FOUND, "session_not_found"),
             DeskError::NoSuchPair { .. } => (StatusCode::NOT_FOUND, "pair_not_found"),
             DeskError::NotReady { .. } => (StatusCode::CONFLICT, "inputs_missing"),

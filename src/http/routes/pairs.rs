@@ -81,6 +81,15 @@ pub(super) enum FrameName {
     On,
 }
 
+impl From<FrameName> for Frame {
+    fn from(name: FrameName) -> Self {
+        match name {
+            FrameName::Off => Frame::Off,
+            FrameName::On => Frame::On,
+        }
+    }
+}
+
 /// A small JPEG of a frame, made from the raw when it is first asked for.
 #[utoipa::path(get, path = "/api/v1/sessions/{session}/pairs/{number}/{frame}/thumbnail.jpg", tag = "capture",
     params(("session" = String, Path, description = "Name of the session"),
@@ -94,11 +103,7 @@ pub(super) async fn thumbnail(
     path: Result<Path<(String, u32, FrameName)>, PathRejection>,
 ) -> Result<Response, Problem> {
     let Path((session, number, frame)) = path?;
-    let frame = match frame {
-        FrameName::Off => Frame::Off,
-        FrameName::On => Frame::On,
-    };
-    let file = blocking(move || app.desk.thumbnail(&session, number, frame)).await?;
+    let file = blocking(move || app.desk.thumbnail(&session, number, frame.into())).await?;
     let bytes = tokio::fs::read(&file).await.map_err(Problem::internal)?;
     // A pair's originals never change, and so neither does this.
     let kept = "private, max-age=31536000, immutable";

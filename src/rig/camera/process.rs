@@ -1,17 +1,53 @@
 //! The camera host as its driver sees it: a child process with a socket, and a deadline for every answer.
 
 use super::protocol::{self, Reply, Request};
+use crate::rig::CameraError;
+use std::ffi::OsString;
 use std::io::{self, Read, Write};
 use std::net::Shutdown;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
-use std::path::Path;
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 /// How long a host may take to go when it is told to.
 const GOODBYE: Duration = Duration::from_secs(4);
+
+/// How camera hosts are started.
+#[derive(Clone, Debug)]
+pub struct Launch {
+    program: PathBuf,
+    environment: Vec<(OsString, OsString)>,
+}
+
+impl Launch {
+    /// Hosts are run by `program`, an executable of unlit.
+    pub fn new(program: impl Into<PathBuf>) -> Self {
+        Self { program: program.into(), environment: Vec::new() }
+    }
+
+    /// Hosts are run by this program's own executable.
+    pub fn own() -> Result<Self, CameraError> {
+        std::env::current_exe()
+            .map(Self::new)
+            .map_err(|error| CameraError::Host(format!("own executable not found: {error}")))
+    }
+
+    /// Sets a variable in the environment of the hosts (`IOLIBS`: other port drivers for libgphoto2).
+    pub fn env(mut self, name: impl Into<OsString>, value: impl Into<OsString>) -> Self {
+        self.environment.push((name.into(), value.into()));
+        self
+    }
+
+    /// Starts `program camera-host [--port PORT]`.
+    pub(super) fn start(&self, port: Option<&str>) -> Result<Process, CameraError> {
+        Process::start(self, port).map_err(|error| {
+            CameraError::Host(format!("{} could not be started: {error}", self.program.display()))
+        })
+    }
+}
 
 /// Why there is no answer.
 #[derive(Debug)]
@@ -34,11 +70,10 @@ pub(super) struct Process {
 }
 
 impl Process {
-    /// Starts `program camera-host [--port PORT]`.
-    pub(super) fn start(program: &Path, port: Option<&str>) -> io::Result<Self> {
+    fn start(launch: &Launch, port: Option<&str>) -> io::Result<Self> {
         let home = tempfile::Builder::new().prefix("unlit-camera-").tempdir()?;
         let (ours, theirs) = UnixStream::pair()?;
-        let mut command = Command::new(program);
+        let mut command = Command::new(&launch.program);
         command.arg("camera-host");
         if let Some(port) = port {
             command.args(["--port", port]);
@@ -46,6 +81,7 @@ impl Process {
         command
             .env("HOME", home.path())
             .env_remove("XDG_CONFIG_HOME")
+            .envs(launch.environment.iter().map(|(name, value)| (name, value)))
             // Settings are found by their names and chosen by their labels, which must stay English.
             .env("LC_ALL", "C.UTF-8")
             // Ctrl-C at the terminal is for unlit, which then takes leave of the camera in good order.
@@ -67,15 +103,20 @@ impl Process {
         matches!(self.child.try_wait(), Ok(None))
     }
 
-    /// One question, one answer.
+    /// One question, and the first frame of its answer.
     pub(super) fn ask(
         &mut self,
         request: &Request,
         deadline: Duration,
     ) -> Result<(Reply, Vec<u8>), AskError> {
-        let mut timed = Timed { link: &self.link, until: Instant::now() + deadline };
-        protocol::send(&mut timed, request, &[]).map_err(sort)?;
-        protocol::receive(&mut timed).map_err(sort)
+        let until = Instant::now() + deadline;
+        protocol::send(&mut Timed { link: &self.link, until }, request, &[]).map_err(sort)?;
+        self.hear(until)
+    }
+
+    /// A further frame of the answer.
+    pub(super) fn hear(&mut self, until: Instant) -> Result<(Reply, Vec<u8>), AskError> {
+        protocol::receive(&mut Timed { link: &self.link, until }).map_err(sort)
     }
 
     /// Ends it at once.

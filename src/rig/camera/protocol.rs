@@ -1,13 +1,15 @@
 //! What the driver and the camera host say to each other: frames on a local socket.
 //!
 //! A frame is `u32 length of the header, u64 length of the payload, header as JSON, payload`, little-endian.
-//! One request is answered by one reply; the payload is the bytes of a file or a preview.
+//! One request is answered by one reply, whose payload is the bytes of a preview. A shot alone has several:
+//! [`Reply::Releasing`], a [`Reply::Frame`] for each file, [`Reply::Shot`]; [`Reply::Failed`] may come instead of any.
 
 use crate::pair::{Dial, Offered, Settings};
-use crate::rig::CameraInfo;
+use crate::rig::{CameraInfo, LockReport, ShotTimes};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::io::{self, Read, Write};
+use std::time::Duration;
 
 /// Longest header taken.
 const LONGEST_HEADER: u32 = 1 << 20;
@@ -18,20 +20,43 @@ const LONGEST_PAYLOAD: u64 = 1 << 30;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Request {
+    /// Version of the library.
+    Library,
     /// Cameras that can be found without knowing their port.
     List,
-    /// Connect to the camera on the host's port.
-    Open,
+    /// Connect to the camera on the host's port, and get rid of whatever it still holds.
+    Open {
+        /// Where its frames shall go.
+        target: Target,
+        /// A frame was released for a host that is gone: it may still come, and must not be taken for another.
+        frame_owed: bool,
+    },
     /// Settings as the camera reports them.
     Settings,
     /// What the dials offer.
     Offered,
     /// Turn one dial.
     Set(Dial),
+    /// Go through the exposure lock.
+    Lock,
     /// A live picture.
     Preview,
-    /// Release the shutter once, fetch the file, wait until the camera is ready.
-    Shoot,
+    /// Release the shutter once, fetch the files, wait until the camera is ready.
+    Shoot {
+        /// How long the camera may take beyond the exposure.
+        patience: Duration,
+    },
+}
+
+/// Where the camera puts its frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Target {
+    /// Into its memory, from where they go to the computer alone; spares the card and its time.
+    #[default]
+    Memory,
+    /// Onto its card, as the photographer's own copy; they are fetched from there.
+    Card,
 }
 
 /// What the host answers.
@@ -39,6 +64,8 @@ pub(super) enum Request {
 #[serde(rename_all = "snake_case")]
 #[allow(clippy::large_enum_variant, reason = "one reply is there at a time, never a list of them")]
 pub(super) enum Reply {
+    /// To [`Request::Library`].
+    Library(String),
     /// To [`Request::List`].
     Cameras(Vec<CameraInfo>),
     /// To [`Request::Open`].
@@ -49,8 +76,19 @@ pub(super) enum Reply {
     Offered(Offered),
     /// To [`Request::Set`].
     Done,
-    /// To [`Request::Preview`] and [`Request::Shoot`]: the payload is a file of this name.
-    File(String),
+    /// To [`Request::Lock`].
+    Locked(LockReport),
+    /// To [`Request::Preview`]: the payload is the picture.
+    Preview,
+    /// To [`Request::Shoot`], first: the camera was found ready, and the shutter is released now.
+    Releasing {
+        /// Exposure time that its dial shows.
+        exposure: Option<Duration>,
+    },
+    /// To [`Request::Shoot`]: the payload is a file of this name, the raw first.
+    Frame(String),
+    /// To [`Request::Shoot`], last: the camera is ready again.
+    Shot(ShotTimes),
     /// It did not work.
     Failed {
         /// What kind of trouble.
@@ -68,7 +106,7 @@ pub(super) enum Trouble {
     NotFound,
     /// Another program has the port.
     Claimed,
-    /// Try again soon.
+    /// Try again soon; nothing was released.
     Busy,
     /// The camera fell silent; open it anew.
     Silent,
@@ -76,6 +114,21 @@ pub(super) enum Trouble {
     Lost,
     /// The camera said no and stays usable.
     Refused,
+    /// It found no focus.
+    NoFocus,
+    /// It has no room.
+    CardFull,
+    /// Its battery is too low.
+    BatteryLow,
+    /// A file came short and is gone.
+    Incomplete {
+        /// Bytes that came.
+        got: u64,
+        /// Bytes announced.
+        announced: u64,
+    },
+    /// More came than one release can give.
+    Untrusted,
 }
 
 /// Writes one frame.
@@ -124,11 +177,11 @@ mod tests {
     fn a_frame_comes_back_as_it_was_sent() {
         let mut wire = Vec::new();
         send(&mut wire, &Request::Set(Dial::Shutter(Seconds(0.008))), &[]).unwrap();
-        send(&mut wire, &Reply::File("capt0000.cr2".into()), &[1, 2, 3]).unwrap();
+        send(&mut wire, &Reply::Frame("capt0000.cr2".into()), &[1, 2, 3]).unwrap();
         let mut wire = wire.as_slice();
         assert_eq!(receive::<Request>(&mut wire).unwrap().0, Request::Set(Dial::Shutter(Seconds(0.008))));
         let (reply, payload) = receive::<Reply>(&mut wire).unwrap();
-        assert_eq!((reply, payload), (Reply::File("capt0000.cr2".into()), vec![1, 2, 3]));
+        assert_eq!((reply, payload), (Reply::Frame("capt0000.cr2".into()), vec![1, 2, 3]));
         assert!(receive::<Reply>(&mut wire).is_err());
     }
 

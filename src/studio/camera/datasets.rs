@@ -11,6 +11,9 @@ pub(super) mod op {
     pub(crate) const GET_STORAGE_IDS: u16 = 0x1004;
     pub(crate) const GET_STORAGE_INFO: u16 = 0x1005;
     pub(crate) const GET_OBJECT_HANDLES: u16 = 0x1007;
+    pub(crate) const GET_OBJECT_INFO: u16 = 0x1008;
+    pub(crate) const GET_OBJECT: u16 = 0x1009;
+    pub(crate) const DELETE_OBJECT: u16 = 0x100b;
     pub(crate) const GET_PARTIAL_OBJECT: u16 = 0x101b;
     pub(crate) const EOS_GET_STORAGE_IDS: u16 = 0x9101;
     pub(crate) const EOS_GET_STORAGE_INFO: u16 = 0x9102;
@@ -40,6 +43,9 @@ pub(super) mod op {
         GET_STORAGE_IDS,
         GET_STORAGE_INFO,
         GET_OBJECT_HANDLES,
+        GET_OBJECT_INFO,
+        GET_OBJECT,
+        DELETE_OBJECT,
         GET_PARTIAL_OBJECT,
         EOS_GET_STORAGE_IDS,
         EOS_GET_STORAGE_INFO,
@@ -69,9 +75,7 @@ pub(super) const MODEL: &str = "Canon EOS 5DS";
 pub(super) const SERIAL: &str = "000000000042";
 /// Canon's vendor extension id, by which libgphoto2 takes the body for a Canon.
 const CANON: u32 = 0xb;
-/// Canon's own object format for a CR2; libgphoto2 stores such an object under a name that ends in `.cr2`.
-pub(super) const FORMAT_RAW: u32 = 0xb103;
-/// The one card slot, empty.
+/// The one card slot.
 pub(super) const STORAGE: u32 = 0x0001_0001;
 
 /// Grows a little-endian dataset.
@@ -127,11 +131,11 @@ pub(super) fn array(values: &[u32]) -> Vec<u8> {
 }
 
 /// PTP DeviceInfo.
-pub(super) fn device_info() -> Vec<u8> {
+pub(super) fn device_info(serial: &str) -> Vec<u8> {
     let mut d = Dataset::default();
     d.u16(100).u32(CANON).u16(100).string("").u16(0);
     d.u16s(op::ALL).u16s(&[]).u16s(&[]).u16s(&[]).u16s(&[0x3801]);
-    d.string("Canon Inc.").string(MODEL).string("3-1.1.2").string(SERIAL);
+    d.string("Canon Inc.").string(MODEL).string("3-1.1.2").string(serial);
     d.0
 }
 
@@ -148,11 +152,70 @@ pub(super) fn eos_device_info(properties: &[u32]) -> Vec<u8> {
     bytes
 }
 
-/// PTP StorageInfo of an empty slot.
-pub(super) fn storage_info() -> Vec<u8> {
+/// Bytes that a file is thought to take on a card.
+const FILE_BYTES: u64 = 60_000_000;
+
+/// PTP StorageInfo of the slot, whose card has room for `left` of `room` files; without a card, of the empty slot.
+pub(super) fn storage_info(card: Option<(u32, u32)>) -> Vec<u8> {
     let mut d = Dataset::default();
-    d.u16(4).u16(2).u16(0).u64(0).u64(0).u32(0).string("no card").string("");
+    match card {
+        Some((room, left)) => {
+            d.u16(4).u16(3).u16(0);
+            d.u64(u64::from(room) * FILE_BYTES).u64(u64::from(left) * FILE_BYTES).u32(left);
+            d.string("SD").string("EOS_DIGITAL");
+        }
+        None => {
+            d.u16(4).u16(2).u16(0).u64(0).u64(0).u32(0).string("no card").string("");
+        }
+    }
     d.0
+}
+
+/// An object on the card.
+#[derive(Debug)]
+pub(super) struct Entry {
+    /// Handle.
+    pub(super) handle: u32,
+    /// PTP object format.
+    pub(super) format: u32,
+    /// Bytes.
+    pub(super) size: u32,
+    /// Handle of the folder that it lies in; 0 for the root.
+    pub(super) parent: u32,
+    /// File name.
+    pub(super) name: String,
+}
+
+/// When all files were made: the studio has no clock.
+const DATE: &str = "20260101T120000";
+/// The same in seconds since 1970.
+const DATE_SECONDS: u32 = 1_767_268_800;
+
+/// PTP ObjectInfo.
+pub(super) fn object_info(entry: &Entry) -> Vec<u8> {
+    let folder = u16::from(entry.format == 0x3001);
+    let mut d = Dataset::default();
+    d.u32(STORAGE).u16(entry.format as u16).u16(0).u32(entry.size);
+    // No thumbnail, and its and the picture's sizes unknown.
+    d.u16(0).u32(0).u32(0).u32(0).u32(0).u32(0).u32(0);
+    d.u32(entry.parent).u16(folder).u32(0).u32(0);
+    d.string(&entry.name).string(DATE).string(DATE).string("");
+    d.0
+}
+
+/// Canon's list of objects: count, and an entry of 56 bytes each.
+pub(super) fn object_list(entries: &[Entry]) -> Vec<u8> {
+    let mut bytes = u32s(&[entries.len() as u32]);
+    for entry in entries {
+        let flags = if entry.format == 0x3001 { 0x10 } else { 0x20 };
+        bytes.extend(u32s(&[56, entry.handle, STORAGE, entry.format, 0, flags, entry.size, entry.parent, 0]));
+        let mut name = [0; 16];
+        // The last byte stays the closing zero.
+        name.iter_mut().take(15).zip(entry.name.bytes()).for_each(|(to, from)| *to = from);
+        bytes.extend(name);
+        bytes.extend(u32s(&[DATE_SECONDS]));
+    }
+    bytes
 }
 
 /// One GetEvent record.
@@ -186,13 +249,25 @@ pub(super) fn status(busy: bool) -> Vec<u8> {
     record(0xc18b, &u32s(&[u32::from(busy)]))
 }
 
-/// RequestObjectTransfer: a frame waits in the body's memory for the computer.
-pub(super) fn transfer_requested(object: u32, size: u32, name: &str) -> Vec<u8> {
-    let mut payload = u32s(&[object, FORMAT_RAW, 0, size, 0]);
-    payload.extend(name.as_bytes());
-    payload.push(0);
-    payload.resize(payload.len().next_multiple_of(4), 0);
+/// A name with its closing zero, on a boundary of four bytes.
+fn padded(name: &str) -> Vec<u8> {
+    let mut bytes = name.as_bytes().to_vec();
+    bytes.resize((bytes.len() + 1).next_multiple_of(4), 0);
+    bytes
+}
+
+/// RequestObjectTransfer: a file waits in the body's memory for the computer.
+pub(super) fn transfer_requested(object: u32, format: u32, size: u32, name: &str) -> Vec<u8> {
+    let mut payload = u32s(&[object, format, 0, size, 0]);
+    payload.extend(padded(name));
     record(0xc186, &payload)
+}
+
+/// ObjectAddedEx: a file lies on the card.
+pub(super) fn object_added(object: u32, format: u32, size: u32, parent: u32, name: &str) -> Vec<u8> {
+    let mut payload = u32s(&[object, STORAGE, format, 0, 0x20, size, parent, 0]);
+    payload.extend(padded(name));
+    record(0xc181, &payload)
 }
 
 #[cfg(test)]
@@ -201,11 +276,22 @@ mod tests {
 
     #[test]
     fn fields_of_a_transfer_request_stand_where_the_library_looks() {
-        let record = transfer_requested(0x5001, 300_000, "IMG_0001.CR2");
+        let record = transfer_requested(0x5001, 0xb103, 300_000, "IMG_0001.CR2");
         let word = |at: usize| u32::from_le_bytes(record[at..at + 4].try_into().unwrap());
         assert_eq!(word(0) as usize, record.len());
         assert_eq!((word(4), word(8), word(0xc), word(0x14)), (0xc186, 0x5001, 0xb103, 300_000));
         assert_eq!(&record[0x1c..0x29], b"IMG_0001.CR2\0");
+    }
+
+    #[test]
+    fn fields_of_a_file_on_the_card_stand_where_the_library_looks() {
+        let record = object_added(0x5001, 0xb103, 300_000, 0x77, "IMG_0001.CR2");
+        let word = |at: usize| u32::from_le_bytes(record[at..at + 4].try_into().unwrap());
+        assert_eq!((word(4), word(8), word(0xc), word(0x10)), (0xc181, 0x5001, STORAGE, 0xb103));
+        assert_eq!((word(0x1c), word(0x20)), (300_000, 0x77));
+        assert_eq!(&record[0x28..0x35], b"IMG_0001.CR2\0");
+        let entry = Entry { handle: 1, format: 0x3001, size: 0, parent: 0, name: "DCIM".into() };
+        assert_eq!(object_list(&[entry]).len(), 4 + 56);
     }
 
     #[test]

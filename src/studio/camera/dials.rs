@@ -118,6 +118,9 @@ pub(super) const ISO: &[Position] = &[
     (0x78, 6400.0),
 ];
 
+/// Positions of a dial a stop.
+const THIRDS_A_STOP: usize = 3;
+
 fn label(dial: &[Position], code: u32) -> Option<f64> {
     dial.iter().find(|(c, _)| *c == code).map(|(_, label)| *label)
 }
@@ -135,6 +138,13 @@ pub(super) fn aperture(code: u32) -> Option<FNumber> {
 /// Sensitivity on the label of `code`.
 pub(super) fn iso(code: u32) -> Option<Iso> {
     label(ISO, code).map(Iso)
+}
+
+/// The label one stop slower, or one stop faster where the dial ends.
+pub(super) fn one_stop_off(shutter: Seconds) -> Seconds {
+    let Some(at) = SHUTTER.iter().position(|(_, label)| *label == shutter.0) else { return shutter };
+    let slower = at.checked_sub(THIRDS_A_STOP).unwrap_or(at + THIRDS_A_STOP);
+    SHUTTER.get(slower).map_or(shutter, |(_, label)| Seconds(*label))
 }
 
 #[cfg(test)]
@@ -159,6 +169,12 @@ mod tests {
             let exact = (f64::from(code) - 72.0) / 8.0;
             assert!(((iso / 100.0).log2() - exact).abs() < ROUNDING_STOPS, "iso {code:#x}");
         }
+    }
+
+    #[test]
+    fn one_stop_off_is_twice_or_half_the_time() {
+        assert_eq!(one_stop_off(Seconds(1.0 / 125.0)), Seconds(1.0 / 60.0));
+        assert_eq!(one_stop_off(Seconds(30.0)), Seconds(15.0));
     }
 
     #[test]

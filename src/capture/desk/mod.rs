@@ -1,14 +1,20 @@
 //! Where wishes come in: sessions, pairs, calibration, processing. Each wish that takes time becomes a job,
 //! so that whoever asked may leave; faces (HTTP, terminal) only translate.
 
-use super::engine::{AfterPair, CaptureError, Engine};
+mod camera;
+mod error;
+mod works;
+
+pub use error::DeskError;
+
+use super::engine::{AfterPair, Engine};
 use super::events::{Events, Topic};
-use super::place::{CalibrationShot, PlaceError, calibration_shots, name_of};
-use super::thumbnail::{self, ThumbnailError};
+use super::place::{CalibrationShot, PlaceError, name_of};
+use super::thumbnail;
 use super::{Devices, Frame};
-use crate::jobs::{Job, JobsError, Lane, Order, Queue, Work, WorkError};
-use crate::pair::{PairRecord, Verdict};
-use crate::progress::{Cancelled, Progress};
+use crate::jobs::{Queue, WorkError};
+use crate::pair::{PairRecord, Plan, Verdict, Window};
+use crate::progress::Progress;
 use crate::session::{self, Session, SessionError};
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -18,50 +24,6 @@ use std::time::Duration;
 
 /// Longest session name, in characters; some file systems end at 255 bytes.
 const NAME_LIMIT: usize = 80;
-
-/// Why a wish was not taken.
-#[derive(Debug, thiserror::Error)]
-pub enum DeskError {
-    /// The name cannot be a folder's.
-    #[error(
-        "{0:?} cannot name a session: use 1 to {NAME_LIMIT} characters, no / or \\, not beginning with a dot"
-    )]
-    BadName(String),
-    /// No such session.
-    #[error("there is no session {0:?}; make it first")]
-    NoSuchSession(String),
-    /// No such pair.
-    #[error("session {session:?} has no pair {number}")]
-    NoSuchPair {
-        /// The session.
-        session: String,
-        /// The pair.
-        number: u32,
-    },
-    /// Something to process is missing.
-    #[error("session {session:?} cannot be processed yet: it has no {missing}")]
-    NotReady {
-        /// The session.
-        session: String,
-        /// What is missing, in words.
-        missing: String,
-    },
-    /// A value out of its range.
-    #[error("{0}")]
-    BadValue(String),
-    /// The session folder.
-    #[error(transparent)]
-    Session(#[from] SessionError),
-    /// The disk.
-    #[error(transparent)]
-    Place(#[from] PlaceError),
-    /// The queue.
-    #[error(transparent)]
-    Jobs(#[from] JobsError),
-    /// A thumbnail could not be made.
-    #[error(transparent)]
-    Thumbnail(#[from] ThumbnailError),
-}
 
 /// What the flash calibration is made from.
 #[derive(Clone, Debug, PartialEq)]
@@ -125,6 +87,12 @@ pub struct SessionSummary {
     pub has_scene: bool,
     /// Whether a flash calibration is there.
     pub has_flash_calibration: bool,
+    /// Exposures of its pairs.
+    pub plan: Option<Plan>,
+    /// Where the object is; the whole frame if absent.
+    pub region: Option<Window>,
+    /// Settings that the camera does not tell and the operator has confirmed.
+    pub confirmed: Vec<String>,
     /// Finished results, paths inside the session.
     pub results: Vec<String>,
     /// Why nothing else is known of it, if so.
@@ -132,6 +100,7 @@ pub struct SessionSummary {
 }
 
 #[derive(Default)]
+
 struct Sessions {
     open: HashMap<String, Arc<Session>>,
     current: Option<String>,
@@ -301,11 +270,15 @@ impl Desk {
             Some(session) => session.clone(),
             None => Arc::new(found(Session::open_shared(&place_of(&self.0.folder, name)?), name)?),
         };
+        let manifest = session.manifest();
         let pairs = session.pairs()?;
         let results = ["model/model.glb", "model/report.html", "model/reflectance.exr", "model/stddev.exr"];
         Ok(SessionSummary {
             name: name.to_owned(),
-            created: session.manifest().created.clone(),
+            created: manifest.created,
+            plan: manifest.plan,
+            region: manifest.region,
+            confirmed: manifest.confirmed,
             current: sessions.current.as_deref() == Some(name),
             pairs: pairs.len(),
             accepted: pairs.iter().filter(|p| p.verdict == Verdict::Accepted).count(),
@@ -318,137 +291,6 @@ impl Desk {
                 .collect(),
             problem: None,
         })
-    }
-
-    /// Takes the next pair of the named, current or day's session.
-    pub fn take_pair(&self, session: Option<&str>) -> Result<Job, DeskError> {
-        let session = self.session_for_pair(session)?;
-        let desk = self.clone();
-        self.enqueue("pair", &session.clone(), Lane::Rig, false, move |progress| {
-            let after_pair = desk.0.after_pair.as_ref();
-            let record = desk.0.engine.shoot_pair(&session, after_pair, progress)?;
-            if record.verdict == Verdict::Accepted {
-                desk.process_if_ready(&session);
-            }
-            Ok(json!({ "session": name_of(&session), "number": record.number, "verdict": record.verdict }))
-        })
-    }
-
-    /// Shoots the calibration card at a distance in metres.
-    pub fn take_card_shot(&self, session: &str, distance_m: f64) -> Result<Job, DeskError> {
-        if !(distance_m > 0.0 && distance_m < 100.0) {
-            return Err(DeskError::BadValue(format!(
-                "a card {distance_m} m away cannot be: give the distance from the lens to the card in metres"
-            )));
-        }
-        let session = self.session(session)?;
-        let desk = self.clone();
-        self.enqueue("flash_shots", &session.clone(), Lane::Rig, false, move |progress| {
-            let shot = desk.0.engine.shoot_card(&session, distance_m, progress)?;
-            Ok(json!({ "session": name_of(&session), "name": shot.name, "reasons": shot.reasons }))
-        })
-    }
-
-    /// Fits the flash calibration from the session's card shots, then processes if all is there.
-    pub fn calibrate_flash(
-        &self,
-        session: &str,
-        target_reflectance: f64,
-        ring_radii: [f64; 2],
-    ) -> Result<Job, DeskError> {
-        if !(target_reflectance > 0.0 && target_reflectance <= 1.0) {
-            return Err(DeskError::BadValue(format!(
-                "target_reflectance is {target_reflectance}, but a card's reflectance lies between 0 and 1"
-            )));
-        }
-        let [inner, outer] = ring_radii;
-        if !(inner >= 0.0 && outer > inner && outer < 1.0) {
-            return Err(DeskError::BadValue(format!(
-                "ring_radii are {inner} and {outer}; give the inner, then the larger outer radius in metres"
-            )));
-        }
-        let session = self.session(session)?;
-        let shots: Vec<_> =
-            calibration_shots(&session)?.into_iter().filter(|s| s.reasons.is_empty()).collect();
-        if shots.is_empty() {
-            let (session, missing) = (name_of(&session), "usable shot of the calibration card".into());
-            return Err(DeskError::NotReady { session, missing });
-        }
-        let desk = self.clone();
-        let card = FlashCard { target_reflectance, ring_radii, shots };
-        self.enqueue("calibrate_flash", &session.clone(), Lane::Processing, false, move |progress| {
-            let result = (desk.0.works.calibrate_flash)(&session, card, progress)?;
-            desk.process_if_ready(&session);
-            Ok(result)
-        })
-    }
-
-    /// Imports cameras and meshes, then processes if all is there.
-    pub fn import_scene(&self, session: &str, files: SceneFiles) -> Result<Job, DeskError> {
-        let session = self.session(session)?;
-        let desk = self.clone();
-        self.enqueue("import_scene", &session.clone(), Lane::Processing, false, move |progress| {
-            let result = (desk.0.works.import_scene)(&session, files, progress)?;
-            desk.process_if_ready(&session);
-            Ok(result)
-        })
-    }
-
-    /// Processes the session; refused while something is missing.
-    pub fn process(&self, session: &str) -> Result<Job, DeskError> {
-        let session = self.session(session)?;
-        let missing = self.missing(&session)?;
-        if !missing.is_empty() {
-            return Err(DeskError::NotReady { session: name_of(&session), missing: missing.join(", no ") });
-        }
-        self.enqueue_process(&session)
-    }
-
-    fn missing(&self, session: &Session) -> Result<Vec<&'static str>, DeskError> {
-        let works = &self.0.works;
-        let mut missing = Vec::new();
-        if !(works.has_scene)(session) {
-            missing.push("scene");
-        }
-        if !(works.has_flash_calibration)(session) {
-            missing.push("flash calibration");
-        }
-        if !session.pairs()?.iter().any(|p| p.verdict == Verdict::Accepted) {
-            missing.push("accepted pair");
-        }
-        Ok(missing)
-    }
-
-    /// Starts processing unasked once everything is there.
-    fn process_if_ready(&self, session: &Arc<Session>) {
-        let started = match self.missing(session) {
-            Ok(missing) if !missing.is_empty() => return,
-            Ok(_) => self.enqueue_process(session).map(drop),
-            Err(error) => Err(error),
-        };
-        if let Err(error) = started {
-            let words = format!("Processing of {} was not started: {error}", name_of(session));
-            self.0.events.tell(Topic::Trouble, words, Value::Null);
-        }
-    }
-
-    fn enqueue_process(&self, session: &Arc<Session>) -> Result<Job, DeskError> {
-        let (desk, own) = (self.clone(), session.clone());
-        self.enqueue("process", session, Lane::Processing, true, move |progress| {
-            Ok((desk.0.works.process)(&own, (), progress)?)
-        })
-    }
-
-    fn enqueue(
-        &self,
-        kind: &'static str,
-        session: &Session,
-        lane: Lane,
-        coalesce: bool,
-        work: impl FnOnce(&Progress) -> Result<Value, JobError> + Send + 'static,
-    ) -> Result<Job, DeskError> {
-        let work: Work = Box::new(move |progress| work(progress).map_err(|JobError(error)| error));
-        Ok(self.0.queue.enqueue(Order { kind, subject: name_of(session), lane, coalesce, work })?)
     }
 
     /// A pair's small JPEG, made from the raw when it is first asked for.
@@ -480,6 +322,9 @@ fn unreadable(name: &str, error: &DeskError) -> SessionSummary {
         accepted: 0,
         has_scene: false,
         has_flash_calibration: false,
+        plan: None,
+        region: None,
+        confirmed: Vec::new(),
         results: Vec::new(),
         problem: Some(error.to_string()),
     }
@@ -493,22 +338,4 @@ fn checked_name(name: &str) -> Result<&str, DeskError> {
         && name.trim() == name
         && !name.contains(|c: char| matches!(c, '/' | '\\') || c.is_control());
     if good { Ok(name) } else { Err(DeskError::BadName(name.to_owned())) }
-}
-
-/// Brings the domains' errors under the queue's.
-struct JobError(WorkError);
-
-impl From<WorkError> for JobError {
-    fn from(error: WorkError) -> Self {
-        JobError(error)
-    }
-}
-
-impl From<CaptureError> for JobError {
-    fn from(error: CaptureError) -> Self {
-        JobError(match error {
-            CaptureError::Cancelled(Cancelled) => WorkError::Cancelled,
-            other => WorkError::failed(other.code(), other),
-        })
-    }
 }

@@ -1,0 +1,72 @@
+//! Why a pair was not stored, for people in words and for scripts in codes.
+
+use super::bench::NO_FLASH;
+use super::place::PlaceError;
+use crate::pipeline::stops::EarlierError;
+use crate::progress::Cancelled;
+use crate::rig::{CameraError, FlashError};
+
+/// Why a pair was not stored.
+#[derive(Debug, thiserror::Error)]
+pub enum CaptureError {
+    /// The camera.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// The flash.
+    #[error(transparent)]
+    Flash(#[from] FlashError),
+    /// There is no flash.
+    #[error("{NO_FLASH}")]
+    NoFlash,
+    /// A setting of the camera would spoil every pair, and cannot be set from here.
+    #[error("the camera is not ready for pairs: {0}")]
+    NotLocked(String),
+    /// The camera took a setting and did not obey.
+    #[error(
+        "the camera was set to {wanted} and says {found}; turn its mode dial to M, and check that no dial or button is held"
+    )]
+    ExposureNotSet {
+        /// What was asked.
+        wanted: String,
+        /// What it says now.
+        found: String,
+    },
+    /// The system gave no thread.
+    #[error("the frame could not be checked: no thread to be had ({0}); close other programs")]
+    NoThread(std::io::Error),
+    /// The session folder.
+    #[error("the pair could not be stored: {0}")]
+    Place(#[from] PlaceError),
+    /// On request.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl CaptureError {
+    /// Stable name for scripts.
+    pub fn code(&self) -> &'static str {
+        match self {
+            CaptureError::Camera(error) => error.code(),
+            CaptureError::Flash(FlashError::Open { .. }) => "flash_not_opened",
+            CaptureError::Flash(FlashError::Silent { .. }) => "flash_silent",
+            CaptureError::Flash(FlashError::Refused { .. }) => "flash_refused",
+            CaptureError::Flash(FlashError::NotReady { .. }) => "flash_not_ready",
+            CaptureError::Flash(FlashError::Lost { .. }) => "flash_lost",
+            CaptureError::NoFlash => "flash_missing",
+            CaptureError::NotLocked(_) => "camera_not_locked",
+            CaptureError::ExposureNotSet { .. } => "exposure_not_set",
+            CaptureError::NoThread(_) => "no_thread",
+            CaptureError::Place(_) => "session_not_written",
+            CaptureError::Cancelled(_) => "cancelled",
+        }
+    }
+}
+
+impl From<EarlierError> for CaptureError {
+    fn from(error: EarlierError) -> Self {
+        match error {
+            EarlierError::Session(error) => CaptureError::Place(error.into()),
+            EarlierError::Cancelled(cancelled) => cancelled.into(),
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! The single actions at the devices that pairs and test shots are made of: lock, dials, gate, release, count.
+
+use super::bench::{Bench, FlashKind};
+use super::error::CaptureError;
+use super::prompt::Prompter;
+use crate::pair::{Dial, Exposure, Settings};
+use crate::progress::{Cancelled, Progress};
+use crate::rig::{CameraError, Flash, FlashError, FlashShot, LockState, Shot};
+use std::time::{Duration, Instant};
+
+/// How long the gate stays open for the lit frame. A tethered body may take seconds from the request to the
+/// release.
+const ARMED_FOR: Duration = Duration::from_secs(15);
+/// How long the controller's word on a sync may be under way after the camera has delivered the file.
+const SYNC_PATIENCE: Duration = Duration::from_millis(700);
+/// How long a flash may take to recycle before the pair is given up.
+const RECYCLE_PATIENCE: Duration = Duration::from_secs(30);
+/// Stops by which two labels of the same dial position may differ; neighbours are a third of a stop apart.
+const SAME_LABEL_STOPS: f64 = 0.05;
+
+/// Both hands at the rig, for as long as one pair or one series of test shots takes.
+pub(super) struct Hands<'a> {
+    pub(super) bench: &'a mut Bench,
+    pub(super) prompter: &'a Prompter,
+    pub(super) progress: &'a Progress,
+}
+
+impl Hands<'_> {
+    /// Goes through the exposure lock, once an opened camera, and reads the dials.
+    pub(super) fn lock(&mut self) -> Result<Settings, CaptureError> {
+        let report = self.camera(|bench| bench.lock())?;
+        let wrong = report.sentences(LockState::Wrong);
+        if !wrong.is_empty() {
+            return Err(CaptureError::NotLocked(wrong.join(" ")));
+        }
+        self.camera(|bench| bench.camera()?.settings())
+    }
+
+    /// Turns the dials that do not stand as they should, and reads them back.
+    pub(super) fn turn_dials(&mut self, now: &Settings, wanted: &Exposure) -> Result<(), CaptureError> {
+        let turns = turns(now, wanted);
+        if turns.is_empty() {
+            return Ok(());
+        }
+        for dial in turns {
+            self.camera(|bench| bench.camera()?.set(dial))?;
+        }
+        let now = self.camera(|bench| bench.camera()?.settings())?;
+        if self::turns(&now, wanted).is_empty() { Ok(()) } else { Err(disobeyed(&now, wanted)) }
+    }
+
+    /// Closes the gate and forgets the syncs of the past, or asks the operator to switch the flash off.
+    pub(super) fn darken(&mut self) -> Result<(), CaptureError> {
+        // Without a camera nobody should be sent to switch a flash.
+        self.camera(|bench| bench.camera().map(drop))?;
+        let done = match self.bench.flash()? {
+            FlashKind::Controller(flash) => {
+                flash.disarm().and_then(|()| flash.syncs(Duration::ZERO).map(drop))
+            }
+            FlashKind::Manual => {
+                self.prompter.ask("Switch the flash off, then confirm.", self.progress)?;
+                Ok(())
+            }
+            FlashKind::None => return Err(CaptureError::NoFlash),
+        };
+        done.map_err(|error| self.flash_failed(error))
+    }
+
+    /// Opens the gate for one sync, or asks the operator to switch the flash on.
+    pub(super) fn arm(&mut self, tag: u32) -> Result<(), CaptureError> {
+        let done = match self.bench.flash()? {
+            FlashKind::Controller(flash) => arm_when_recycled(flash.as_mut(), tag, self.progress)?,
+            FlashKind::Manual => {
+                self.prompter.ask("Switch the flash on, then confirm.", self.progress)?;
+                Ok(())
+            }
+            FlashKind::None => return Err(CaptureError::NoFlash),
+        };
+        done.map_err(|error| self.flash_failed(error))
+    }
+
+    /// Closes the gate, best effort: it was opened once, with a time to live, and closes by itself.
+    pub(super) fn disarm(&mut self) {
+        if let Ok(FlashKind::Controller(flash)) = self.bench.flash()
+            && let Err(error) = flash.disarm()
+        {
+            tracing::warn!("the flash could not be disarmed: {error}");
+            self.bench.note_flash_error(&error);
+        }
+    }
+
+    /// Releases the shutter once.
+    pub(super) fn release(&mut self) -> Result<Shot, CaptureError> {
+        self.camera(|bench| bench.camera()?.shoot())
+    }
+
+    /// The syncs since the last count; `None` where no controller counts.
+    pub(super) fn count(&mut self) -> Result<Option<Vec<FlashShot>>, CaptureError> {
+        let FlashKind::Controller(flash) = self.bench.flash()? else { return Ok(None) };
+        let syncs = flash.syncs(SYNC_PATIENCE);
+        syncs.map(Some).map_err(|error| self.flash_failed(error))
+    }
+
+    fn camera<T>(
+        &mut self,
+        act: impl FnOnce(&mut Bench) -> Result<T, CameraError>,
+    ) -> Result<T, CaptureError> {
+        act(self.bench).map_err(|error| {
+            self.bench.note_camera_error(&error);
+            error.into()
+        })
+    }
+
+    fn flash_failed(&mut self, error: FlashError) -> CaptureError {
+        self.bench.note_flash_error(&error);
+        error.into()
+    }
+}
+
+/// The dials to be turned. What the camera does not tell is not touched: the frame's own EXIF will tell.
+fn turns(now: &Settings, wanted: &Exposure) -> Vec<Dial> {
+    let off = |now: f64, wanted: f64| (now / wanted).log2().abs() > SAME_LABEL_STOPS;
+    let mut turns = Vec::new();
+    if now.shutter.is_some_and(|v| off(v.0, wanted.shutter.0)) {
+        turns.push(Dial::Shutter(wanted.shutter));
+    }
+    if now.aperture.is_some_and(|v| off(v.0, wanted.aperture.0)) {
+        turns.push(Dial::Aperture(wanted.aperture));
+    }
+    if now.iso.is_some_and(|v| off(v.0, wanted.iso.0)) {
+        turns.push(Dial::Iso(wanted.iso));
+    }
+    turns
+}
+
+fn disobeyed(now: &Settings, wanted: &Exposure) -> CaptureError {
+    let told = |value: Option<String>| value.unwrap_or_else(|| "nothing".into());
+    CaptureError::ExposureNotSet {
+        wanted: wanted.to_string(),
+        found: format!(
+            "{}, {}, {}",
+            told(now.shutter.map(|v| v.to_string())),
+            told(now.aperture.map(|v| v.to_string())),
+            told(now.iso.map(|v| v.to_string()))
+        ),
+    }
+}
+
+/// What the dials show, if the camera tells all three.
+pub(super) fn exposure_of(settings: &Settings) -> Option<Exposure> {
+    Some(Exposure { shutter: settings.shutter?, aperture: settings.aperture?, iso: settings.iso? })
+}
+
+/// Arms, waiting for a flash that says how long it still recycles.
+fn arm_when_recycled(
+    flash: &mut dyn Flash,
+    tag: u32,
+    progress: &Progress,
+) -> Result<Result<(), FlashError>, Cancelled> {
+    let end = Instant::now() + RECYCLE_PATIENCE;
+    loop {
+        match flash.arm(tag, ARMED_FOR) {
+            Err(FlashError::NotReady { wait_ms }) if Instant::now() < end => {
+                progress.check()?;
+                std::thread::sleep(Duration::from_millis(wait_ms.clamp(10, 250)));
+            }
+            outcome => return Ok(outcome),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::units::{FNumber, Iso, Seconds};
+
+    #[test]
+    fn only_the_dials_that_stand_wrong_are_turned() {
+        let wanted = Exposure { shutter: Seconds(1.0 / 125.0), aperture: FNumber(11.0), iso: Iso(100.0) };
+        let settings = |shutter: f64, iso: Option<f64>| Settings {
+            shutter: Some(Seconds(shutter)),
+            aperture: Some(FNumber(11.0)),
+            iso: iso.map(Iso),
+            ..Settings::default()
+        };
+        assert_eq!(turns(&settings(0.008, Some(100.0)), &wanted), []);
+        assert_eq!(turns(&settings(0.0078, None), &wanted), []);
+        assert_eq!(
+            turns(&settings(0.01, Some(200.0)), &wanted),
+            [Dial::Shutter(wanted.shutter), Dial::Iso(wanted.iso)]
+        );
+        assert_eq!(exposure_of(&settings(0.01, None)), None);
+    }
+}

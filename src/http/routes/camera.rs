@@ -1,0 +1,209 @@
+//! The camera: which one, how it stands, its live picture, exposure and region, histograms.
+
+use super::blocking;
+use super::pairs::FrameName;
+use crate::capture::LivePicture;
+use crate::http::App;
+use crate::http::bodies::DevicesBody;
+use crate::http::camera_bodies::{
+    CameraBody, CameraChoice, CameraListBody, ConfirmedBody, ExposureOrder, FrameFiguresBody, PlanBody,
+    WindowBody,
+};
+use crate::http::problem::{Problem, ProblemBody};
+use axum::Json;
+use axum::body::{Body, Bytes};
+use axum::extract::rejection::{JsonRejection, PathRejection};
+use axum::extract::{Path, State};
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use std::time::Duration;
+use tokio::sync::{mpsc, watch};
+use tokio_stream::StreamExt;
+use tokio_stream::wrappers::ReceiverStream;
+
+/// How long a script may wait for the first live picture.
+const FIRST_PICTURE: Duration = Duration::from_secs(15);
+/// Between two pictures of the stream.
+const BOUNDARY: &str = "unlit-live";
+
+/// The cameras that can be opened now, and which one is in use.
+#[utoipa::path(get, path = "/api/v1/cameras", tag = "capture",
+    responses((status = 200, body = Vec<CameraListBody>),
+        (status = 503, body = ProblemBody, content_type = "application/problem+json")))]
+pub(super) async fn list(State(app): State<App>) -> Result<Json<Vec<CameraListBody>>, Problem> {
+    blocking(move || {
+        let in_use = app.desk.devices().camera.description;
+        let cameras = app.desk.cameras()?;
+        Ok(Json(cameras.into_iter().map(|camera| CameraListBody::new(camera, &in_use)).collect()))
+    })
+    .await
+}
+
+/// How the camera stands: settings, what its dials offer, and the exposure lock item by item. Going through the
+/// lock also sets what can be set.
+#[utoipa::path(get, path = "/api/v1/camera", tag = "capture",
+    responses((status = 200, body = CameraBody),
+        (status = 503, body = ProblemBody, content_type = "application/problem+json")))]
+pub(super) async fn state(State(app): State<App>) -> Result<Json<CameraBody>, Problem> {
+    blocking(move || Ok(Json(app.desk.camera_state()?.into()))).await
+}
+
+/// Uses the camera on this port from now on.
+#[utoipa::path(put, path = "/api/v1/camera", tag = "capture", request_body = CameraChoice,
+    responses((status = 200, body = DevicesBody),
+        (status = 400, body = ProblemBody, content_type = "application/problem+json")))]
+pub(super) async fn choose(
+    State(app): State<App>,
+    choice: Result<Json<CameraChoice>, JsonRejection>,
+) -> Result<Json<DevicesBody>, Problem> {
+    let Json(choice) = choice?;
+    blocking(move || Ok(Json(app.desk.choose_camera(&choice.port)?.into()))).await
+}
+
+/// The live picture as a stream of JPEGs (`multipart/x-mixed-replace`, what an `img` element shows). A slow
+/// client gets fewer pictures, never old ones. The stream ends when there is trouble; the page asks again.
+#[utoipa::path(get, path = "/api/v1/live.mjpg", tag = "capture",
+    responses((status = 200, body = Vec<u8>, content_type = "multipart/x-mixed-replace")))]
+pub(super) async fn live(State(app): State<App>) -> Result<Response, Problem> {
+    let mut watcher = app.desk.watch_live().map_err(Problem::internal)?;
+    let mut closing = app.closing.clone();
+    // The first picture or the first trouble decides between a stream and an error in words.
+    let first = next_picture(&mut watcher).await?;
+    let (sender, receiver) = mpsc::channel::<Bytes>(1);
+    tokio::spawn(async move {
+        let mut picture = Some(first);
+        while let Some(jpeg) = picture {
+            if sender.send(part(&jpeg)).await.is_err() {
+                return;
+            }
+            picture = tokio::select! {
+                next = next_picture(&mut watcher) => next.ok(),
+                _ = closing.changed() => return,
+                () = sender.closed() => return,
+            };
+        }
+    });
+    let stream = ReceiverStream::new(receiver).map(Ok::<_, std::convert::Infallible>);
+    let kind = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");
+    Ok((
+        [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, "no-store".into())],
+        Body::from_stream(stream),
+    )
+        .into_response())
+}
+
+/// One picture with its head, and the boundary after it, so that clients need not wait for the next one to show it.
+fn part(jpeg: &[u8]) -> Bytes {
+    let head = format!("--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len());
+    [head.as_bytes(), jpeg, b"\r\n"].concat().into()
+}
+
+async fn next_picture(
+    watcher: &mut watch::Receiver<LivePicture>,
+) -> Result<std::sync::Arc<Vec<u8>>, Problem> {
+    let wait = async {
+        loop {
+            // The sender lives as long as the engine, which outlives every handler.
+            if watcher.changed().await.is_err() {
+                return Err(Problem::internal("live view has ended"));
+            }
+            match watcher.borrow_and_update().clone() {
+                LivePicture::None => {}
+                LivePicture::Jpeg(jpeg) => return Ok(jpeg),
+                LivePicture::Trouble(words) => {
+                    return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "no_live_picture", words));
+                }
+            }
+        }
+    };
+    tokio::time::timeout(FIRST_PICTURE, wait).await.unwrap_or_else(|_| {
+        let words = format!("no live picture came within {FIRST_PICTURE:?}; is a pair being shot?");
+        Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "no_live_picture", words))
+    })
+}
+
+/// One live picture, for scripts.
+#[utoipa::path(get, path = "/api/v1/live.jpg", tag = "capture",
+    responses((status = 200, body = Vec<u8>, content_type = "image/jpeg"),
+        (status = 503, body = ProblemBody, content_type = "application/problem+json")))]
+pub(super) async fn still(State(app): State<App>) -> Result<Response, Problem> {
+    let mut watcher = app.desk.watch_live().map_err(Problem::internal)?;
+    let jpeg = next_picture(&mut watcher).await?;
+    let kind = HeaderValue::from_static("image/jpeg");
+    Ok((
+        [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, HeaderValue::from_static("no-store"))],
+        jpeg.to_vec(),
+    )
+        .into_response())
+}
+
+/// Sets the exposures at which the session's pairs are shot from now on. Values are the camera's labels.
+#[utoipa::path(put, path = "/api/v1/sessions/{session}/exposure", tag = "capture",
+    params(("session" = String, Path, description = "Name of the session")), request_body = ExposureOrder,
+    responses((status = 200, body = PlanBody),
+        (status = 400, body = ProblemBody, content_type = "application/problem+json"),
+        (status = 404, body = ProblemBody, content_type = "application/problem+json"),
+        (status = 503, body = ProblemBody, content_type = "application/problem+json")))]
+pub(super) async fn set_exposure(
+    State(app): State<App>,
+    session: Result<Path<String>, PathRejection>,
+    order: Result<Json<ExposureOrder>, JsonRejection>,
+) -> Result<Json<PlanBody>, Problem> {
+    let (Path(session), Json(order)) = (session?, order?);
+    blocking(move || {
+        let plan = app.desk.set_plan(&session, order.on.into(), order.off.map(Into::into))?;
+        Ok(Json(plan.into()))
+    })
+    .await
+}
+
+/// Sets where the object is in the frame, for exposure and checks; `null` is the whole frame.
+#[utoipa::path(put, path = "/api/v1/sessions/{session}/region", tag = "capture",
+    params(("session" = String, Path, description = "Name of the session")), request_body = Option<WindowBody>,
+    responses((status = 204, description = "set"),
+        (status = 400, body = ProblemBody, content_type = "application/problem+json"),
+        (status = 404, body = ProblemBody, content_type = "application/problem+json")))]
+pub(super) async fn set_region(
+    State(app): State<App>,
+    session: Result<Path<String>, PathRejection>,
+    region: Result<Json<Option<WindowBody>>, JsonRejection>,
+) -> Result<StatusCode, Problem> {
+    let (Path(session), Json(region)) = (session?, region?);
+    blocking(move || {
+        app.desk.set_region(&session, region.map(Into::into))?;
+        Ok(StatusCode::NO_CONTENT)
+    })
+    .await
+}
+
+/// The operator has checked by eye what the camera does not tell (items of the lock that are `unreadable`).
+/// Answers all that is confirmed for the session.
+#[utoipa::path(post, path = "/api/v1/sessions/{session}/confirmed", tag = "capture",
+    params(("session" = String, Path, description = "Name of the session")), request_body = ConfirmedBody,
+    responses((status = 200, body = ConfirmedBody),
+        (status = 404, body = ProblemBody, content_type = "application/problem+json")))]
+pub(super) async fn confirm(
+    State(app): State<App>,
+    session: Result<Path<String>, PathRejection>,
+    names: Result<Json<ConfirmedBody>, JsonRejection>,
+) -> Result<Json<ConfirmedBody>, Problem> {
+    let (Path(session), Json(names)) = (session?, names?);
+    blocking(move || Ok(Json(ConfirmedBody { names: app.desk.confirm_settings(&session, &names.names)? })))
+        .await
+}
+
+/// Histograms of a stored frame's sensor values, a colour each, with clipped shares, in the session's region.
+#[utoipa::path(get, path = "/api/v1/sessions/{session}/pairs/{number}/{frame}/histogram", tag = "capture",
+    params(("session" = String, Path, description = "Name of the session"),
+        ("number" = u32, Path, description = "Number of the pair"),
+        ("frame" = FrameName, Path, description = "`off` or `on`")),
+    responses((status = 200, body = FrameFiguresBody),
+        (status = 404, body = ProblemBody, content_type = "application/problem+json"),
+        (status = 422, body = ProblemBody, content_type = "application/problem+json")))]
+pub(super) async fn histogram(
+    State(app): State<App>,
+    path: Result<Path<(String, u32, FrameName)>, PathRejection>,
+) -> Result<Json<FrameFiguresBody>, Problem> {
+    let Path((session, number, frame)) = path?;
+    blocking(move || Ok(Json(app.desk.histograms(&session, number, frame.into())?.into()))).await
+}

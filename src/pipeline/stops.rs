@@ -1,0 +1,190 @@
+//! What a session remembers of its pairs, so that later ones can be held against them.
+//!
+//! Signatures of the stops lie in `derived/stops/NNNN.json`, each with the digests of the two files it was made
+//! from; one that is missing or stale is made again by decoding. Digests of all frames tell a frame that was
+//! delivered twice, the controller's counts a pulse that was weaker than usual.
+
+use crate::codec::raw;
+use crate::pair::{
+    EnergyExpectation, Expected, Exposure, Files, Limits, PairRecord, Plan, Role, Settings, Stop, Verdict,
+};
+use crate::progress::{Cancelled, Progress};
+use crate::session::{Session, SessionError, store};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Raised when the same frames give another signature than before.
+const METHOD: u32 = 1;
+
+/// Why a session's earlier pairs could not be remembered.
+#[derive(Debug, thiserror::Error)]
+pub enum EarlierError {
+    /// The session folder.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// Stopped on request.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+/// How a pair's files came in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Delivery {
+    /// From a camera that just released: no frame can have been there before.
+    Camera,
+    /// As files, where several pairs may share one unlit frame.
+    Files,
+}
+
+/// A session's pairs as far as later ones are held against them.
+#[derive(Clone, Debug, Default)]
+pub struct Earlier {
+    stops: Vec<Stop>,
+    files: BTreeMap<String, (Role, u32)>,
+    energies: Vec<f64>,
+}
+
+/// `derived/stops/NNNN.json`.
+#[derive(Serialize, Deserialize)]
+struct StopFile {
+    method: u32,
+    off: String,
+    on: String,
+    /// `null` for frames too dark to know a stop by.
+    stop: Option<Stop>,
+}
+
+impl Earlier {
+    /// Remembers all pairs of a session; signatures that are missing are made from the originals and kept.
+    pub fn load(session: &Session, progress: &Progress) -> Result<Self, EarlierError> {
+        let mut earlier = Self::default();
+        let pairs = session.pairs()?;
+        for (done, record) in pairs.iter().enumerate() {
+            progress.check()?;
+            progress.report("recalling earlier pairs", done, pairs.len());
+            let stop = match record.verdict {
+                Verdict::Rejected => None,
+                Verdict::Accepted => match read(session, record) {
+                    Some(known) => known,
+                    None => {
+                        let stop = remade(session, record);
+                        write(session, record, &stop)?;
+                        stop
+                    }
+                },
+            };
+            earlier.note(record, stop);
+        }
+        Ok(earlier)
+    }
+
+    /// Remembers a pair just stored, and keeps its signature if it was accepted.
+    pub fn add(
+        &mut self,
+        session: &Session,
+        record: &PairRecord,
+        stop: Option<Stop>,
+    ) -> Result<(), SessionError> {
+        if record.verdict == Verdict::Accepted {
+            write(session, record, &stop)?;
+        }
+        self.note(record, stop);
+        Ok(())
+    }
+
+    fn note(&mut self, record: &PairRecord, stop: Option<Stop>) {
+        for (frame, role) in [(&record.off, Role::Unlit), (&record.on, Role::Lit)] {
+            self.files.entry(frame.blake3.clone()).or_insert((role, record.number));
+        }
+        if record.verdict == Verdict::Accepted {
+            self.stops.extend(stop);
+            self.energies.extend(record.flash.as_ref().and_then(|f| f.energy_counts).filter(|e| *e > 0.0));
+        }
+    }
+
+    /// What the next pair is held against: `off` and `on` are its files' BLAKE3, `energy` its pulse in the
+    /// controller's counts. Plan and region are for the caller to add.
+    pub fn expecting<'a>(
+        &'a self,
+        off: &'a str,
+        on: &'a str,
+        energy: Option<f64>,
+        delivery: Delivery,
+    ) -> Expected<'a> {
+        let usual = median(&self.energies);
+        Expected {
+            earlier: &self.stops,
+            energy: energy.zip(usual).map(|(counts, usual)| EnergyExpectation { counts, usual }),
+            files: Some(Files {
+                off,
+                on,
+                earlier: &self.files,
+                may_share_unlit: delivery == Delivery::Files,
+            }),
+            ..Expected::default()
+        }
+    }
+}
+
+fn median(values: &[f64]) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied()
+}
+
+fn folder(session: &Session) -> PathBuf {
+    session.derived_dir().join("stops")
+}
+
+fn file(session: &Session, record: &PairRecord) -> PathBuf {
+    folder(session).join(format!("{:04}.json", record.number))
+}
+
+/// The signature kept of a pair; `None` if there is none of these two files by this method.
+fn read(session: &Session, record: &PairRecord) -> Option<Option<Stop>> {
+    // What cannot be read is made again, as everything in `derived`.
+    let bytes = std::fs::read(file(session, record)).ok()?;
+    let found: StopFile = serde_json::from_slice(&bytes).ok()?;
+    let fresh = found.method == METHOD && found.off == record.off.blake3 && found.on == record.on.blake3;
+    fresh.then_some(found.stop)
+}
+
+fn write(session: &Session, record: &PairRecord, stop: &Option<Stop>) -> Result<(), SessionError> {
+    let path = file(session, record);
+    let io = |path: &Path| {
+        let path = path.to_owned();
+        move |source| SessionError::Io { path, source }
+    };
+    std::fs::create_dir_all(folder(session)).map_err(io(&folder(session)))?;
+    let stored = StopFile {
+        method: METHOD,
+        off: record.off.blake3.clone(),
+        on: record.on.blake3.clone(),
+        stop: stop.clone(),
+    };
+    let bytes = serde_json::to_vec(&stored).map_err(|e| io(&path)(e.into()))?;
+    store::write_atomic(&path, &bytes).map_err(io(&path))
+}
+
+/// The signature out of a pair's originals.
+fn remade(session: &Session, record: &PairRecord) -> Option<Stop> {
+    // Saturation matters to nothing in a signature.
+    let read = |name: &str| raw::read(&session.pair_dir(record.number).join(name));
+    let (off, on) = rayon::join(|| read(&record.off.file), || read(&record.on.file));
+    match (off, on) {
+        (Ok(off), Ok(on)) => {
+            let plan = exposure(&off.settings).zip(exposure(&on.settings)).map(|(off, on)| Plan { off, on });
+            let expected = Expected { plan: plan.as_ref(), ..Expected::default() };
+            super::pairs::judge(&Ok(off), &Ok(on), &expected, &Limits::default()).stop
+        }
+        (Err(error), _) | (_, Err(error)) => {
+            tracing::warn!(pair = record.number, %error, "no later pair can be held against this one");
+            None
+        }
+    }
+}
+
+fn exposure(settings: &Settings) -> Option<Exposure> {
+    Some(Exposure { shutter: settings.shutter?, aperture: settings.aperture?, iso: settings.iso? })
+}
