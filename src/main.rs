@@ -9,6 +9,9 @@ fn main() -> ExitCode {
         )
         .with_writer(std::io::stderr)
         .init();
+    if let Ok(this) = std::env::current_exe() {
+        unlit::codec::raw::set_decoder_program(this);
+    }
     match unlit::cli::run(std::env::args_os()) {
         Ok(code) => code.into(),
         Err(error) => {

@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod camera_host;
+mod decode_host;
 mod devices;
 mod doctor;
 mod evaluate;
@@ -99,6 +100,9 @@ enum Command {
     /// Runs one camera for another unlit process.
     #[command(hide = true)]
     CameraHost(camera_host::Args),
+    /// Decodes one raw file for another unlit process.
+    #[command(hide = true)]
+    DecodeHost,
 }
 
 /// Parses `args` (the program's name first) and runs the command.
@@ -117,5 +121,6 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
         Command::Openapi => openapi::run(),
         Command::Studio(command) => studio::run(command),
         Command::CameraHost(args) => camera_host::run(&args),
+        Command::DecodeHost => decode_host::run(),
     }
 }

@@ -182,7 +182,7 @@ fn write_exif(mut ifd: Directory, settings: &Settings) -> Result<u32, DngError> 
 
 /// A fraction as a camera would write it: 1/n for reciprocals of whole numbers, else millionths reduced to
 /// what 32 bits hold.
-fn rational(value: f64) -> Rational {
+pub(super) fn rational(value: f64) -> Rational {
     let reciprocal = 1.0 / value;
     if value < 1.0 && (reciprocal - reciprocal.round()).abs() < 1e-6 * reciprocal {
         return Rational { n: 1, d: reciprocal.round() as u32 };
@@ -197,7 +197,7 @@ fn rational(value: f64) -> Rational {
 }
 
 /// `YYYY-MM-DDTHH:MM:SS` as EXIF writes it.
-fn exif_date(iso: &str) -> String {
+pub(super) fn exif_date(iso: &str) -> String {
     let (date, time) = iso.split_once('T').unwrap_or((iso, "00:00:00"));
     format!("{} {time}", date.replace('-', ":"))
 }
@@ -235,6 +235,7 @@ mod tests {
             exposure_program: Some("Manual".into()),
             white_balance: Some("Manual".into()),
             taken_at: Some("2026-05-04T10:00:04".into()),
+            ..Settings::default()
         }
     }
 

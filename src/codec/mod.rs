@@ -1,11 +1,14 @@
 //! The only caller of file decoders and encoders.
 
 pub mod asset;
+mod canon;
+pub mod cr2;
 pub mod dng;
 pub mod exif;
 pub mod exr_half;
 pub mod exr_image;
 pub mod jpeg;
+mod ljpeg;
 pub mod obj;
 pub mod png;
 pub mod raw;

@@ -39,4 +39,19 @@ pub struct Settings {
     /// When the frame was taken, EXIF's local time, `YYYY-MM-DDTHH:MM:SS`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub taken_at: Option<String>,
+    /// Focus mode as ExifTool words the maker's note ("Manual Focus (3)").
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub focus_mode: Option<String>,
+    /// Drive mode as ExifTool words the maker's note ("Single").
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drive_mode: Option<String>,
+    /// Highlight tone priority as ExifTool words the maker's note ("Off"): it shifts the sensor's gain.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub highlight_tone_priority: Option<String>,
+    /// Long exposure noise reduction as ExifTool words the maker's note ("Off").
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub long_exposure_noise_reduction: Option<String>,
+    /// High ISO noise reduction as ExifTool words the maker's note ("Standard").
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub high_iso_noise_reduction: Option<String>,
 }

@@ -11,5 +11,6 @@ pub mod truth;
 mod wires;
 pub mod world;
 
+pub use crate::codec::cr2;
 pub use board::{Board, BoardOptions};
 pub use wires::{SyncContact, View};

@@ -115,7 +115,7 @@ fn decoders_and_encoders_are_called_in_codec_alone() {
     rust_files(&src, &mut files);
     for file in files.iter().filter(|f| !f.starts_with(src.join("codec"))) {
         let text = std::fs::read_to_string(file).unwrap();
-        for decoder in ["rawloader::", "exif::", "exr::", "tiff::", "tobj::"] {
+        for decoder in ["rawloader::", "rawler::", "exr::", "tiff::", "tobj::"] {
             let direct = text.lines().any(|l| {
                 let l = l.trim_start();
                 !l.starts_with("//")

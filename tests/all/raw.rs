@@ -1,7 +1,6 @@
 //! Raw files: values against dcraw, errors that say what to do, and files that lie.
 
 use crate::samples::shared;
-use rand::{RngExt, SeedableRng};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use unlit::codec::dng::{self, DngContent};
@@ -11,7 +10,7 @@ use unlit::photometry::{Cfa, LevelSource, Levels, Mosaic};
 use unlit::raster::Image;
 use unlit::units::{FNumber, Iso, Seconds};
 
-fn sample(name: &str) -> PathBuf {
+pub(crate) fn sample(name: &str) -> PathBuf {
     shared("data/raw").join(name)
 }
 
@@ -31,7 +30,7 @@ fn dcraw(path: &Path) -> (usize, usize, Vec<u16>) {
 }
 
 /// A binary 16-bit PGM: width, height, values.
-fn pgm(bytes: &[u8]) -> (usize, usize, Vec<u16>) {
+pub(crate) fn pgm(bytes: &[u8]) -> (usize, usize, Vec<u16>) {
     let header_end = bytes.iter().enumerate().filter(|(_, b)| **b == b'\n').nth(2).unwrap().0 + 1;
     let header = String::from_utf8_lossy(&bytes[..header_end]).into_owned();
     let words: Vec<&str> = header.split_whitespace().collect();
@@ -120,7 +119,8 @@ fn settings_are_read_and_what_is_zero_or_blank_is_absent() {
 #[test]
 fn what_cannot_be_read_is_refused_with_its_own_reason() {
     assert!(matches!(error_of("photoprism_canon_eos_6d.dng"), RawError::Demosaiced { .. }));
-    assert!(matches!(error_of("nomexif_canon-r6.cr3"), RawError::Cr3 { .. }));
+    let cr3 = error_of("nomexif_canon-r6.cr3");
+    assert!(matches!(cr3, RawError::Truncated { has: 336_392, needs: 31_239_766, .. }), "{cr3}");
     assert!(matches!(error_of("metaextr_issue247-4.nef"), RawError::NotRaw { .. }));
     assert!(matches!(error_of("mut_rawler_abort_alloc.dng"), RawError::Damaged { .. }));
     assert!(matches!(error_of("README.md"), RawError::NotRaw { .. }));
@@ -168,6 +168,7 @@ fn written_dng(folder: &Path) -> (PathBuf, Mosaic, Image<u16>) {
         exposure_program: Some("Manual".into()),
         white_balance: Some("Manual".into()),
         taken_at: Some("2026-05-04T10:00:04".into()),
+        ..Settings::default()
     };
     let content = DngContent { mosaic: &mosaic, settings: &settings, masked_left: Some(&masked) };
     let path = folder.join("written.dng");
@@ -237,45 +238,4 @@ fn exiftool_finds_the_settings_of_a_dng_that_we_write_and_nothing_to_complain_of
     assert_eq!((&told["WhiteLevel"], &told["BlackLevel"]), (&15380.into(), &2048.into()));
     assert_eq!(told["ActiveArea"], "0 32 400 672");
     assert_eq!(told["MaskedAreas"], "0 0 400 32");
-}
-
-#[test]
-fn mutated_files_never_panic_and_never_claim_more_than_they_hold() {
-    let names = [
-        "small_5DS.cr2",
-        "dng16_perchblack.dng",
-        "dng14_tiffcrate.dng",
-        "mut_rawler_abort_alloc.dng",
-        "photoprism_canon_eos_6d.dng",
-        "nomexif_canon-r6.cr3",
-        "metaextr_issue247-4.nef",
-    ];
-    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(2026);
-    for name in names {
-        let whole = std::fs::read(sample(name)).unwrap();
-        for _ in 0..2000 / names.len() + 1 {
-            let mut bytes = whole.clone();
-            // Directories stand at the front of these files: most mutations go there.
-            for _ in 0..random.random_range(1..6) {
-                let reach = if random.random_bool(0.8) { 4096 } else { bytes.len() };
-                let at = random.random_range(0..reach);
-                bytes[at] = random.random();
-            }
-            if random.random_bool(0.2) {
-                bytes.truncate(random.random_range(0..whole.len()));
-            }
-            if let Ok(photo) = raw::decode(&bytes, name) {
-                assert!(photo.mosaic.dn.pixels().len() <= bytes.len() * 8);
-            }
-        }
-    }
-    assert_memory_stayed_below_kilobytes(1_500_000);
-}
-
-/// The most memory that this process ever held; what is mutated above may not have asked for more.
-fn assert_memory_stayed_below_kilobytes(limit: u64) {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap();
-    let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).unwrap();
-    let peak: u64 = peak.trim().trim_end_matches(" kB").parse().unwrap();
-    assert!(peak < limit, "peak memory {peak} kB");
 }

@@ -14,8 +14,12 @@ const PHOTOMETRIC_LINEAR_RAW: u64 = 34892;
 /// Compression of a DNG's sensor data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Storage {
-    Uncompressed { bits: usize },
+    Uncompressed {
+        bits: usize,
+    },
     LosslessJpeg,
+    /// Compressed in a way that only the second decoder may know.
+    Other,
 }
 
 /// A DNG's directory of sensor data, understood.
@@ -54,6 +58,8 @@ pub(super) fn describe<'t, 'a>(what: &str, tiff: &'t Tiff<'a>) -> Result<DngFram
         1 if (8..=16).contains(&bits) => Storage::Uncompressed { bits },
         1 => return Err(unsupported(what, format!("{bits} bits a site"))),
         7 => Storage::LosslessJpeg,
+        // Deflate, lossy JPEG, JPEG XL.
+        8 | 34892 | 52546 => Storage::Other,
         other => return Err(unsupported(what, format!("DNG compression {other}"))),
     };
     let description = describe_levels(what, directory, width, height, bits)?;

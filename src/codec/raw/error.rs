@@ -38,21 +38,13 @@ pub enum RawError {
     },
     /// Not a raw file of any kind.
     #[error(
-        "{what} is no camera raw file ({looks}); give the raw that the camera wrote (CR2, NEF, ARW, DNG)"
+        "{what} is no camera raw file ({looks}); give the raw that the camera wrote (CR2, CR3, NEF, ARW, RAF, RW2, ORF, DNG)"
     )]
     NotRaw {
         /// The file.
         what: String,
         /// What its first bytes look like.
         looks: &'static str,
-    },
-    /// Canon CR3.
-    #[error(
-        "{what} is a Canon CR3, whose sensor data cannot be read here; convert it to DNG first (Adobe DNG Converter or dnglab, uncompressed or lossless, not linear)"
-    )]
-    Cr3 {
-        /// The file.
-        what: String,
     },
     /// The file holds already demosaiced pixels.
     #[error(
@@ -102,7 +94,7 @@ pub enum RawError {
         /// What is wrong.
         why: String,
     },
-    /// A layout of pixels that neither reader knows.
+    /// A camera or a layout of pixels that none of the readers knows.
     #[error(
         "{what} stores its sensor data in a way that cannot be read here ({how}); convert it to an uncompressed or losslessly compressed DNG"
     )]
@@ -110,6 +102,26 @@ pub enum RawError {
         /// The file.
         what: String,
         /// Compression or layout.
+        how: String,
+    },
+    /// Only the second decoder reads such files, and nobody told where it is.
+    #[error(
+        "{what} needs the second decoder ({why}), and this program does not know where to find it; name an `unlit` binary with `set_decoder_program`, or use `unlit` itself"
+    )]
+    NoSecondDecoder {
+        /// The file.
+        what: String,
+        /// What the first decoder does not know.
+        why: String,
+    },
+    /// The second decoder's process did not get to the end of the file.
+    #[error(
+        "{what} cannot be decoded: the second decoder was stopped, {how}; the file is probably damaged: copy it again from the camera's card"
+    )]
+    DecoderProcess {
+        /// The file.
+        what: String,
+        /// How it ended.
         how: String,
     },
     /// The decoder library gave up.

@@ -1,23 +1,31 @@
-//! Sensor values out of camera raw files: CR2, NEF, ARW, DNG and what else is built like a TIFF.
+//! Sensor values out of camera raw files: CR2, NEF, ARW, DNG and what else is built like a TIFF; CR3, RAF.
 //!
 //! Takes a file, gives a [`Photo`]: the active area's DN as read, the filter array aligned to it, black and
 //! saturation with where they came from, and the EXIF settings. Pixels come from `rawloader`, those of
-//! uncompressed DNGs from our own reader (`rawloader` knows neither 14-bit packing nor several strips).
+//! uncompressed DNGs from our own reader (`rawloader` knows neither 14-bit packing nor several strips), and what
+//! neither knows (CR3, newer bodies, other compressions) from `rawler`, in a process of its own: see
+//! [`set_decoder_program`]. A damaged file is damaged for all of them and is not passed on.
 //! Files are not trusted: sizes are bounded before anything is allocated, a file that ends early is told
 //! from a damaged one, and nothing that a file says makes the program stop.
 
+pub(in crate::codec) mod boxes;
 mod dng_in;
 mod error;
+pub mod host;
+mod second;
 mod sensor;
 mod table;
-mod tiffdir;
+pub(in crate::codec) mod tiffdir;
+mod wire;
 
 pub use error::RawError;
+pub use second::set_decoder_program;
 
 use crate::pair::Settings;
 use crate::photometry::Mosaic;
 use dng_in::Storage;
 use std::path::Path;
+use table::Refused;
 use tiffdir::{Fault, Tiff, tag};
 
 /// The largest frame accepted, in sites.
@@ -59,6 +67,14 @@ pub fn read(path: &Path) -> Result<Photo, RawError> {
 
 /// Decodes a raw file's bytes; `what` names them in errors.
 pub fn decode(bytes: &[u8], what: &str) -> Result<Photo, RawError> {
+    if boxes::is_cr3(bytes) {
+        check_whole_cr3(bytes, what)?;
+        return decode_second(bytes, what, "a Canon CR3", super::exif::settings(bytes));
+    }
+    if bytes.starts_with(RAF) {
+        check_whole_raf(bytes, what)?;
+        return decode_second(bytes, what, "a Fujifilm RAF", Settings::default());
+    }
     if !tiffdir::is_tiff(bytes) {
         return Err(not_a_tiff(bytes, what));
     }
@@ -67,41 +83,108 @@ pub fn decode(bytes: &[u8], what: &str) -> Result<Photo, RawError> {
         Fault::Hostile(why) => RawError::Damaged { what: what.to_owned(), why: why.to_owned() },
     })?;
     check_whole(bytes, &tiff, what)?;
-    let settings = super::exif::settings(bytes);
+    let settings = super::exif::of_tiff(&tiff);
     if !tiff.directories.iter().any(|d| d.has(tag::DNG_VERSION)) {
-        let (plane, description) = table::decode(bytes, what)?;
-        return sensor::develop(what, plane, &description, settings);
+        return match table::decode(bytes, what) {
+            Ok((plane, description)) => sensor::develop(what, plane, &description, settings),
+            Err(Refused::Unknown(why)) => decode_second(bytes, what, &why, settings),
+            Err(Refused::Broken(error)) => Err(error),
+        };
     }
     let frame = dng_in::describe(what, &tiff)?;
     check_size(what, frame.width as u64, frame.height as u64, bytes.len())?;
+    let size = (frame.width, frame.height);
     let mut plane = match frame.storage {
         Storage::Uncompressed { bits } => frame.read_uncompressed(what, bytes, bits)?,
-        Storage::LosslessJpeg => table::decode_plane(bytes, what, frame.width, frame.height)?,
+        Storage::LosslessJpeg => match table::decode_plane(bytes, what, size) {
+            Ok(plane) => plane,
+            Err(Refused::Unknown(why)) => return second_dng(bytes, what, &why, &frame, settings),
+            Err(Refused::Broken(error)) => return Err(error),
+        },
+        Storage::Other => return second_dng(bytes, what, "a compressed DNG", &frame, settings),
     };
     frame.linearize(what, &mut plane)?;
     sensor::develop(what, plane, &frame.description, settings)
 }
 
-/// Says what a file that does not open like a TIFF looks like instead.
+/// Decodes with the second decoder alone, whoever else could: for comparing the two. Levels and areas are the
+/// second decoder's, also where the file has its own.
+pub fn decode_with_second(bytes: &[u8], what: &str) -> Result<Photo, RawError> {
+    decode_second(bytes, what, "asked for", super::exif::settings(bytes))
+}
+
+/// What the first decoders do not know, levels and areas from the second one's table. What the file itself tells
+/// of its settings goes before what the decoder makes of it.
+fn decode_second(bytes: &[u8], what: &str, why: &str, own: Settings) -> Result<Photo, RawError> {
+    let (plane, frame) = second::decode(bytes, what, why)?;
+    let settings = if own == Settings::default() { frame.settings.clone() } else { own };
+    sensor::develop(what, plane, &frame.description(), settings)
+}
+
+/// A DNG whose compression only the second decoder knows: its plane, already linear, with the file's own levels.
+fn second_dng(
+    bytes: &[u8],
+    what: &str,
+    why: &str,
+    frame: &dng_in::DngFrame,
+    settings: Settings,
+) -> Result<Photo, RawError> {
+    let (plane, _) = second::decode(bytes, what, why)?;
+    table::check_plane_size(what, &plane, (frame.width, frame.height))?;
+    sensor::develop(what, plane, &frame.description, settings)
+}
+
+/// How a Fujifilm RAF opens.
+const RAF: &[u8] = b"FUJIFILMCCD-RAW";
+
+/// Says what a file of none of the known formats looks like instead.
 fn not_a_tiff(bytes: &[u8], what: &str) -> RawError {
     let what = what.to_owned();
     let looks = match bytes {
         [] => return RawError::Truncated { what, has: 0, needs: 8 },
-        _ if bytes.get(4..12) == Some(b"ftypcrx ") => return RawError::Cr3 { what },
         [0xff, 0xd8, ..] => "it is a JPEG, whatever its name says",
         [0x89, b'P', b'N', b'G', ..] => "it begins like a PNG",
-        [b'F', b'U', b'J', b'I', ..] => "it is a Fujifilm RAF: convert it to DNG",
-        [b'I', b'I', b'R' | b'U', ..] => "it is an Olympus or Panasonic raw: convert it to DNG",
         _ => "its first bytes are those of no format known here",
     };
     RawError::NotRaw { what, looks }
+}
+
+/// A CR3's boxes must lie inside the file.
+fn check_whole_cr3(bytes: &[u8], what: &str) -> Result<(), RawError> {
+    let (what, has, needs) = (what.to_owned(), bytes.len() as u64, boxes::needs(bytes));
+    match needs > has {
+        true => Err(RawError::Truncated { what, has, needs }),
+        false if !boxes::has_data(bytes) => Err(RawError::NoSensorData { what }),
+        false => Ok(()),
+    }
+}
+
+/// A RAF says at its front where its JPEG (84), its header of the sensor data (92) and the sensor data (100) lie,
+/// each as offset and length, big-endian.
+fn check_whole_raf(bytes: &[u8], what: &str) -> Result<(), RawError> {
+    let has = bytes.len() as u64;
+    let word = |at: usize| {
+        let four = bytes.get(at..at + 4)?.try_into().ok()?;
+        Some(u64::from(u32::from_be_bytes(four)))
+    };
+    let end = |at: usize| Some(word(at)? + word(at + 4)?);
+    let needs = [84, 92, 100].into_iter().map(|at| end(at).unwrap_or(108)).max().unwrap_or(108);
+    if needs > has {
+        return Err(RawError::Truncated { what: what.to_owned(), has, needs });
+    }
+    Ok(())
 }
 
 /// Every strip and tile must lie inside the file, and compressed sensor data must end with its marker:
 /// decoders fill what is missing with zeros and say nothing.
 fn check_whole(bytes: &[u8], tiff: &Tiff, what: &str) -> Result<(), RawError> {
     let has = bytes.len() as u64;
-    let segments = |d: &tiffdir::Directory| d.segments().unwrap_or_default();
+    let segments = |d: &tiffdir::Directory| {
+        let mut segments = d.segments().unwrap_or_default();
+        // Panasonic's strips say "elsewhere": a tag of its own tells where.
+        segments.retain(|(offset, _)| *offset != u64::from(u32::MAX));
+        segments
+    };
     let ends = tiff.directories.iter().flat_map(segments).map(|(offset, length)| offset + length);
     if let Some(needs) = ends.max().filter(|&needs| needs > has) {
         return Err(RawError::Truncated { what: what.to_owned(), has, needs });

@@ -9,42 +9,78 @@ use super::sensor::{Description, Plane, Rect};
 use crate::photometry::{Cfa, LevelSource};
 use rawloader::{RawImage, RawImageData};
 
+/// Why the library gave nothing.
+pub(super) enum Refused {
+    /// It does not know the camera or the way of storing, in its own words: another decoder may.
+    Unknown(String),
+    /// The file is at fault, whoever decodes it.
+    Broken(RawError),
+}
+
+impl From<RawError> for Refused {
+    fn from(error: RawError) -> Self {
+        Refused::Broken(error)
+    }
+}
+
 /// Decodes a camera file, with everything but its pixels from the library's table.
-pub(super) fn decode(bytes: &[u8], what: &str) -> Result<(Plane, Description), RawError> {
+pub(super) fn decode(bytes: &[u8], what: &str) -> Result<(Plane, Description), Refused> {
     let frame = decode_capped(bytes, what)?;
     let description = describe(what, &frame)?;
     Ok((into_plane(what, frame)?, description))
 }
 
-/// Decodes the pixels alone of a DNG whose size is already known.
-pub(super) fn decode_plane(bytes: &[u8], what: &str, width: usize, height: usize) -> Result<Plane, RawError> {
+/// Decodes the pixels alone of a DNG whose (width, height) is already known.
+pub(super) fn decode_plane(bytes: &[u8], what: &str, size: (usize, usize)) -> Result<Plane, Refused> {
     let plane = into_plane(what, decode_capped(bytes, what)?)?;
-    if (plane.width, plane.height) != (width, height) {
-        return Err(RawError::Damaged {
-            what: what.to_owned(),
-            why: format!("it holds {} x {} sites, not {width} x {height}", plane.width, plane.height),
-        });
-    }
+    check_plane_size(what, &plane, size)?;
     Ok(plane)
 }
 
+/// Refuses a plane of another (width, height) than the file's own directory says.
+pub(super) fn check_plane_size(what: &str, plane: &Plane, size: (usize, usize)) -> Result<(), RawError> {
+    if (plane.width, plane.height) == size {
+        return Ok(());
+    }
+    let (width, height) = size;
+    Err(RawError::Damaged {
+        what: what.to_owned(),
+        why: format!("it holds {} x {} sites, not {width} x {height}", plane.width, plane.height),
+    })
+}
+
 /// Asks for the size first, refuses what cannot be, then decodes. The library catches its own panics.
-fn decode_capped(mut bytes: &[u8], what: &str) -> Result<RawImage, RawError> {
+fn decode_capped(mut bytes: &[u8], what: &str) -> Result<RawImage, Refused> {
     let failed = |error: rawloader::RawLoaderError| {
         let message = error.to_string();
         let told = message.trim_start_matches("RawLoaderError: ").trim_matches('"');
         let told = told.lines().next().unwrap_or("the decoder gave no reason").to_owned();
-        RawError::Decoder { what: what.to_owned(), message: told }
+        if is_ignorance(&told) {
+            Refused::Unknown(told)
+        } else {
+            Refused::Broken(RawError::Decoder { what: what.to_owned(), message: told })
+        }
     };
     let size = rawloader::decode_dummy(&mut { bytes }).map_err(failed)?;
     super::check_size(what, size.width as u64, size.height as u64, bytes.len())?;
     if size.cpp != 1 {
-        return Err(RawError::Demosaiced {
+        return Err(Refused::Broken(RawError::Demosaiced {
             what: what.to_owned(),
             how: "a reduced raw (sRAW, mRAW) or linear DNG",
-        });
+        }));
     }
     rawloader::decode(&mut bytes).map_err(failed)
+}
+
+/// Whether the library says that it does not know something, rather than that something is wrong.
+fn is_ignorance(message: &str) -> bool {
+    const CAMERA: [&str; 2] = ["Couldn't find camera", "Couldn't find a decoder for make"];
+    // A lossless JPEG with a predictor that the standard does not have is damaged, not unknown.
+    let predictor = (2..=7).any(|p| message == format!("ljpeg: predictor {p} not supported"));
+    let storage = ["Don't know", "unsupported compression", "not supported yet", "not implemented yet"];
+    CAMERA.iter().any(|start| message.starts_with(start))
+        || predictor
+        || (!message.starts_with("TIFF") && storage.iter().any(|words| message.contains(words)))
 }
 
 fn into_plane(what: &str, frame: RawImage) -> Result<Plane, RawError> {
@@ -96,4 +132,32 @@ fn describe(what: &str, frame: &RawImage) -> Result<Description, RawError> {
         saturation: levels(frame.whitelevels),
         source: LevelSource::DecoderTable,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_library_does_not_know_is_told_from_what_is_damaged() {
+        for unknown in [
+            "Couldn't find camera \\\"SONY\\\" \\\"ILCE-1\\\" mode \\\"\\\".",
+            "Couldn't find a decoder for make \\\"Nikon\\\".",
+            "DNG: Don't know about 14 bps images",
+            "NEF: Don't know compression 34713",
+            "RAF: Don't know how to decode compressed yet",
+            "ljpeg: predictor 6 not supported",
+        ] {
+            assert!(is_ignorance(unknown), "{unknown}");
+        }
+        for damaged in [
+            "Caught a panic while decoding.",
+            "ljpeg: predictor 77 not supported",
+            "ljpeg: invalid DHT table",
+            "CR2: Couldn't find raw info",
+            "TIFF: don't know marker 0x0",
+        ] {
+            assert!(!is_ignorance(damaged), "{damaged}");
+        }
+    }
 }

@@ -19,7 +19,7 @@ const MAKER_NOTE: u16 = 0x927c;
 
 /// Why the walk ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Fault {
+pub(in crate::codec) enum Fault {
     /// A directory lies past the file's end; the file would have to be at least this long.
     Cut { needs: u64 },
     /// Directories that no camera writes.
@@ -36,16 +36,17 @@ struct Entry<'a> {
 
 /// One directory's entries.
 #[derive(Debug)]
-pub(super) struct Directory<'a> {
+pub(in crate::codec) struct Directory<'a> {
     little: bool,
     entries: Vec<Entry<'a>>,
 }
 
-/// All directories of a file, the first one first.
+/// All directories of a file, the first one first; those of the maker's notes apart, whose tags are the maker's own.
 #[derive(Debug)]
-pub(super) struct Tiff<'a> {
+pub(in crate::codec) struct Tiff<'a> {
     pub(super) little: bool,
-    pub(super) directories: Vec<Directory<'a>>,
+    pub(in crate::codec) directories: Vec<Directory<'a>>,
+    pub(in crate::codec) maker_notes: Vec<Directory<'a>>,
 }
 
 struct Step<'a> {
@@ -65,35 +66,53 @@ fn u32_at(bytes: &[u8], at: usize, little: bool) -> Option<u32> {
     Some(if little { u32::from_le_bytes(four) } else { u32::from_be_bytes(four) })
 }
 
+/// How TIFF files open, and the files of three makers that are TIFF but for their mark: Olympus (ORF), Panasonic
+/// (RW2).
+const OPENINGS: [&[u8]; 6] = [b"II*\0", b"MM\0*", b"IIRO", b"IIRS", b"MMOR", b"IIU\0"];
+
 /// Whether the bytes open like a TIFF file.
-pub(super) fn is_tiff(bytes: &[u8]) -> bool {
-    bytes.starts_with(b"II*\0") || bytes.starts_with(b"MM\0*")
+pub(in crate::codec) fn is_tiff(bytes: &[u8]) -> bool {
+    OPENINGS.iter().any(|opening| bytes.starts_with(opening))
 }
 
-/// Walks all directories of `bytes`, which [`is_tiff`].
+/// Walks all directories of `bytes`, which [`is_tiff`]; a fault in any of them is one of the file.
 pub(super) fn walk(bytes: &[u8]) -> Result<Tiff<'_>, Fault> {
+    match survey(bytes) {
+        (tiff, None) => Ok(tiff),
+        (_, Some(fault)) => Err(fault),
+    }
+}
+
+/// Walks as far as there are directories to be read: those found, and what ended the walk early.
+pub(in crate::codec) fn survey(bytes: &[u8]) -> (Tiff<'_>, Option<Fault>) {
     let little = bytes.starts_with(b"II");
-    let first = u32_at(bytes, 4, little).ok_or(Fault::Cut { needs: 8 })? as usize;
-    let mut steps = VecDeque::from([Step { base: bytes, offset: first, little, inside_maker_note: false }]);
+    let mut tiff = Tiff { little, directories: Vec::new(), maker_notes: Vec::new() };
+    let Some(first) = u32_at(bytes, 4, little) else {
+        return (tiff, Some(Fault::Cut { needs: 8 }));
+    };
+    let first = Step { base: bytes, offset: first as usize, little, inside_maker_note: false };
+    let mut steps = VecDeque::from([first]);
     let mut seen = HashSet::new();
-    let mut directories = Vec::new();
+    let mut fault = None;
     while let Some(step) = steps.pop_front() {
         let place = (step.base.as_ptr() as usize).wrapping_add(step.offset);
         if !seen.insert(place) {
-            return Err(Fault::Hostile("its directories lead round in a circle"));
+            fault = fault.or(Some(Fault::Hostile("its directories lead round in a circle")));
+            break;
         }
         if seen.len() > MAX_DIRECTORIES {
-            return Err(Fault::Hostile("it has more directories than any camera writes"));
+            fault = fault.or(Some(Fault::Hostile("it has more directories than any camera writes")));
+            break;
         }
         match read_directory(&step, &mut steps) {
-            Ok(_) if step.inside_maker_note => {}
-            Ok(directory) => directories.push(directory),
+            Ok(directory) if step.inside_maker_note => tiff.maker_notes.push(directory),
+            Ok(directory) => tiff.directories.push(directory),
             // A maker's notes may hold anything; whatever is no directory there leads nowhere.
             Err(_) if step.inside_maker_note => {}
-            Err(fault) => return Err(fault),
+            Err(found) => fault = fault.or(Some(found)),
         }
     }
-    Ok(Tiff { little, directories })
+    (tiff, fault)
 }
 
 fn read_directory<'a>(step: &Step<'a>, steps: &mut VecDeque<Step<'a>>) -> Result<Directory<'a>, Fault> {
@@ -171,8 +190,15 @@ fn size_of_kind(kind: u16) -> usize {
 }
 
 impl Directory<'_> {
-    /// The values of a BYTE, SHORT or LONG tag; `None` when absent, of another type, or endless.
-    pub(super) fn unsigned(&self, tag: u16) -> Option<Vec<u64>> {
+    /// The bytes of an ASCII tag up to its first NUL.
+    pub(in crate::codec) fn ascii(&self, tag: u16) -> Option<&[u8]> {
+        let entry = self.entries.iter().find(|e| e.tag == tag && e.kind == 2)?;
+        entry.data.split(|&b| b == 0).find(|line| !line.is_empty())
+    }
+
+    /// The values of a BYTE, SHORT or LONG tag, unsigned or signed (as their bits); `None` when absent, of another
+    /// type, or endless.
+    pub(in crate::codec) fn unsigned(&self, tag: u16) -> Option<Vec<u64>> {
         let entry = self.entries.iter().find(|e| e.tag == tag)?;
         let size = size_of_kind(entry.kind);
         if entry.data.len() / size > MAX_VALUES {
@@ -181,15 +207,15 @@ impl Directory<'_> {
         let little = self.little;
         let read = |chunk: &[u8]| match entry.kind {
             1 | 7 => chunk.first().map(|&b| u64::from(b)),
-            3 => u16_at(chunk, 0, little).map(u64::from),
-            4 | 13 => u32_at(chunk, 0, little).map(u64::from),
+            3 | 8 => u16_at(chunk, 0, little).map(u64::from),
+            4 | 9 | 13 => u32_at(chunk, 0, little).map(u64::from),
             _ => None,
         };
         entry.data.chunks_exact(size).map(read).collect()
     }
 
     /// The values of a number tag, rationals included; `None` when absent or not finite.
-    pub(super) fn numbers(&self, tag: u16) -> Option<Vec<f64>> {
+    pub(in crate::codec) fn numbers(&self, tag: u16) -> Option<Vec<f64>> {
         let entry = self.entries.iter().find(|e| e.tag == tag)?;
         if entry.kind != 5 && entry.kind != 10 {
             return Some(self.unsigned(tag)?.into_iter().map(|v| v as f64).collect());

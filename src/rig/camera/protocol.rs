@@ -62,6 +62,7 @@ pub enum Target {
 /// What the host answers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[allow(clippy::large_enum_variant, reason = "one reply is there at a time, never a list of them")]
 pub(super) enum Reply {
     /// To [`Request::Library`].
     Library(String),

@@ -193,6 +193,7 @@ impl View for World {
             exposure_program: Some("Manual".into()),
             white_balance: Some("Manual".into()),
             taken_at: Some(crate::session::utc_now().chars().take(19).collect()),
+            ..Settings::default()
         };
         let content =
             DngContent { mosaic: &frame.mosaic, settings: &settings, masked_left: Some(&frame.masked) };
