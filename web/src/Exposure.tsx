@@ -28,14 +28,15 @@ export function Exposure({ live }: { live: Live }) {
       {camera && (
         <>
           <Standing camera={camera} session={session} />
+          <Lock live={live} items={camera.lock} />
           {session ? (
             <Plan key={session.name} live={live} camera={camera} session={session} />
           ) : (
             <p class="dim">{words.exposureNeedsSession}</p>
           )}
-          <Lock live={live} items={camera.lock} />
         </>
       )}
+      {session && <Finding live={live} session={session} />}
     </section>
   );
 }
@@ -133,7 +134,6 @@ function Plan({ live, camera, session }: { live: Live; camera: Camera; session: 
         </button>
       </div>
       <p class="dim">{session.region ? words.findInRegion : words.findInFrame}</p>
-      <Finding live={live} session={session} />
     </form>
   );
 }

@@ -1,5 +1,5 @@
 import { useEffect, useRef, useState } from "preact/hooks";
-import { api, type Region } from "./api";
+import { api, type Region, type Session } from "./api";
 import type { Live } from "./live";
 import { watchLive } from "./mjpeg";
 import { RegionFrame } from "./RegionFrame";
@@ -19,9 +19,12 @@ export function LiveView({ live }: { live: Live }) {
   return (
     <div class="live">
       {on && <Picture live={live} />}
-      <button type="button" class="quiet" aria-pressed={on} onClick={toggle}>
-        {on ? words.liveOff : words.liveOn}
-      </button>
+      <div class="tools">
+        {on && live.session?.region && <ClearRegion live={live} session={live.session} />}
+        <button type="button" class="quiet" onClick={toggle}>
+          {on ? words.liveOff : words.liveOn}
+        </button>
+      </div>
     </div>
   );
 }
@@ -48,17 +51,18 @@ function Picture({ live }: { live: Live }) {
           </p>
         )}
       </div>
-      <div class="head">
-        <p class="dim" id="region-help">
-          {!session ? words.regionNeedsSession : region ? words.regionIs(region) : words.regionHelp}
-        </p>
-        {region && (
-          <button type="button" class="quiet" onClick={() => void setRegion(null)}>
-            {words.regionClear}
-          </button>
-        )}
-      </div>
+      <p class="dim" id="region-help">
+        {!session ? words.regionNeedsSession : region ? words.regionIs(region) : words.regionHelp}
+      </p>
     </>
+  );
+}
+
+function ClearRegion({ live, session }: { live: Live; session: Session }) {
+  return (
+    <button type="button" class="quiet" onClick={() => void live.attempt(api.setRegion(session.name, null))}>
+      {words.regionClear}
+    </button>
   );
 }
 

@@ -80,6 +80,8 @@ export function RegionFrame({ region, onChange }: Props) {
       aria-label={shown ? words.regionIs(shown) : words.regionNone}
       aria-describedby="region-help"
       tabIndex={0}
+      // The mouse leaves the focus, and with it the arrow keys, where they are.
+      onMouseDown={(event) => event.preventDefault()}
       onPointerDown={down}
       onPointerMove={move}
       onPointerUp={up}

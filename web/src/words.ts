@@ -82,7 +82,7 @@ export const words = {
   setWithNextPair: (e: Exposure) => `The camera stands at ${exposure(e)} and is set with the next pair.`,
   cameraTellsNoExposure: "The camera does not tell its exposure. Is it in mode M?",
   dials: { shutter_s: "Shutter", aperture: "Aperture", iso: "ISO" },
-  labels,
+  labels: { ...labels, iso: (iso: number) => String(iso) },
   bothFrames: "Both frames",
   withFlash: "With flash",
   withoutFlash: "Without flash",
@@ -96,7 +96,9 @@ export const words = {
     `should end at ${percent(predicted_share, 0)} of saturation.`,
   useFound: "Use it",
 
-  lockUnknown: "The camera's other settings are not checked: unlit has no table for this maker.",
+  lockUnknown:
+    "The other settings of this camera are not checked. Make sure of mode M, manual focus, a fixed white balance " +
+    "and raw files.",
   lockWrong: "To be put right before the next pair",
   lockWarns: "To be thought of",
   lockUnreadable: "The camera does not tell; please look",
@@ -117,7 +119,7 @@ export const words = {
   brightest: "Brightest",
   clipped: "Clipped",
   clippedInRegion: "Clipped in region",
-  clippedInFrame: "in frame",
+  clippedInFrame: "In frame",
   share: (share: number) =>
     share === 0 ? "0 %" : share < 0.0001 ? "< 0.01 %" : percent(share, share < 0.1 ? 2 : 0),
 };
