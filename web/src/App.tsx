@@ -1,5 +1,7 @@
 import { Devices } from "./Devices";
+import { Exposure } from "./Exposure";
 import { Jobs } from "./Jobs";
+import { LastPair } from "./LastPair";
 import { useLive } from "./live";
 import { Pairs } from "./Pairs";
 import { SessionMenu } from "./SessionMenu";
@@ -40,9 +42,13 @@ export function App() {
         )}
       </div>
       <main>
-        <Shutter live={live} />
+        <div class="work">
+          <Shutter live={live} />
+          <LastPair live={live} />
+        </div>
         <aside>
           <Devices live={live} />
+          <Exposure live={live} />
           <Jobs live={live} />
         </aside>
         <Pairs live={live} />

@@ -1,5 +1,5 @@
-import { useState } from "preact/hooks";
-import { api, type DeviceState } from "./api";
+import { useEffect, useState } from "preact/hooks";
+import { api, type DeviceState, type ListedCamera } from "./api";
 import type { Live } from "./live";
 import { words } from "./words";
 
@@ -23,6 +23,7 @@ export function Devices({ live }: { live: Live }) {
         <Device name={words.camera} state={devices?.camera} />
         <Device name={words.flash} state={devices?.flash} />
       </dl>
+      <CameraChoice live={live} />
     </section>
   );
 }
@@ -41,5 +42,46 @@ function Device({ name, state }: { name: string; state: DeviceState | undefined 
         <span class="dim">{state?.words ?? words.looking}</span>
       </dd>
     </div>
+  );
+}
+
+/** Shown only when there is a choice. */
+function CameraChoice({ live }: { live: Live }) {
+  const [cameras, setCameras] = useState<ListedCamera[]>([]);
+  const camera = live.state?.devices.camera;
+  const busy = live.rigJob !== null;
+  const { attempt } = live;
+  useEffect(() => {
+    if (!camera || busy) return;
+    let late = false;
+    // What keeps the list from being read is told by the device line already.
+    api.cameras().then(
+      (listed) => !late && setCameras(listed),
+      () => !late && setCameras([]),
+    );
+    return () => {
+      late = true;
+    };
+  }, [camera?.description, camera?.words]);
+
+  if (cameras.length < 2) return null;
+  const choose = async (port: string) => {
+    if (await attempt(api.chooseCamera(port))) {
+      setCameras(cameras.map((listed) => ({ ...listed, in_use: listed.port === port })));
+    }
+  };
+  const inUse = cameras.find((listed) => listed.in_use)?.port ?? "";
+  return (
+    <label class="choice">
+      <span class="dim">{words.cameraInUse}</span>
+      <select value={inUse} disabled={busy} onChange={(event) => void choose(event.currentTarget.value)}>
+        {inUse === "" && <option value="">{words.noCameraInUse}</option>}
+        {cameras.map((listed) => (
+          <option key={listed.port} value={listed.port}>
+            {listed.model}, {listed.port}
+          </option>
+        ))}
+      </select>
+    </label>
   );
 }

@@ -2,9 +2,12 @@ import { api, type Job } from "./api";
 import type { Live } from "./live";
 import { jobState, jobTitle, words } from "./words";
 
+/** Kinds that are shown where they are asked for. */
+const ELSEWHERE = ["pair", "find_exposure"];
+
 export function Jobs({ live }: { live: Live }) {
   const session = live.session;
-  const jobs = live.jobs.filter((job) => job.kind !== "pair");
+  const jobs = live.jobs.filter((job) => !ELSEWHERE.includes(job.kind));
   const running = jobs.filter((job) => job.state === "running" || job.state === "queued");
   const last = jobs.find((job) => job.state === "failed" || job.state === "done" || job.state === "cancelled");
   const shown = last && !running.some((job) => job.id < last.id) ? [...running, last] : running;
@@ -48,7 +51,7 @@ export function Jobs({ live }: { live: Live }) {
   );
 }
 
-function JobLine({ job, live }: { job: Job; live: Live }) {
+export function JobLine({ job, live }: { job: Job; live: Live }) {
   const active = job.state === "running" || job.state === "queued";
   return (
     <li class={job.state}>

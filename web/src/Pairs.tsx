@@ -1,5 +1,6 @@
 import type { Frame, Pair } from "./api";
 import type { Live } from "./live";
+import { Reasons } from "./Reasons";
 import { counted, words } from "./words";
 
 export function Pairs({ live }: { live: Live }) {
@@ -40,9 +41,7 @@ function PairCard({ pair }: { pair: Pair }) {
         <h3>{pair.number}</h3>
         <span class="verdict">{pair.verdict === "accepted" ? words.accepted : words.rejected}</span>
       </div>
-      {pair.reasons.map((reason) => (
-        <p key={reason.code + reason.sentence}>{reason.sentence}</p>
-      ))}
+      <Reasons reasons={pair.reasons} />
       {pair.on.settings && <p class="dim">{pair.on.settings}</p>}
     </li>
   );

@@ -1,6 +1,8 @@
 import { useEffect, useRef } from "preact/hooks";
 import { api } from "./api";
 import type { Live } from "./live";
+import { LiveView } from "./LiveView";
+import { Reasons } from "./Reasons";
 import { words } from "./words";
 
 /** Fields and buttons that have their own use for the space bar. */
@@ -35,9 +37,15 @@ export function Shutter({ live }: { live: Live }) {
         event.preventDefault();
       }
     };
+    // A button clicked by hand keeps the focus, and the next press of the space bar would click it again.
+    const clicked = (event: MouseEvent) => {
+      if (event.detail > 0 && event.target instanceof Element) event.target.closest("button")?.blur();
+    };
+    window.addEventListener("click", clicked);
     window.addEventListener("keydown", pressed);
     window.addEventListener("keyup", released);
     return () => {
+      window.removeEventListener("click", clicked);
       window.removeEventListener("keydown", pressed);
       window.removeEventListener("keyup", released);
     };
@@ -46,6 +54,7 @@ export function Shutter({ live }: { live: Live }) {
   const last = live.pairs[0];
   return (
     <section class="shutter" aria-label={words.take}>
+      <LiveView live={live} />
       {prompt === null ? (
         <button type="button" class="big" aria-disabled={job !== undefined} onClick={() => void take()}>
           <span class="ring" aria-hidden="true" />
@@ -69,12 +78,17 @@ export function Shutter({ live }: { live: Live }) {
           <>
             <Steps done={job.done} total={job.total} />
             <p>{job.stage || words.taking}</p>
+            {live.recovery && <p class="recovery">{live.recovery}</p>}
           </>
+        ) : live.recovery ? (
+          <p class="recovery">{live.recovery}</p>
         ) : last ? (
-          <p class={last.verdict}>
-            {last.verdict === "accepted" ? words.afterAccepted(last.number) : words.afterRejected(last.number)}{" "}
-            {last.reasons.map((reason) => reason.sentence).join(" ")}
-          </p>
+          <>
+            <p class={last.verdict}>
+              {last.verdict === "accepted" ? words.afterAccepted(last.number) : words.afterRejected(last.number)}
+            </p>
+            <Reasons reasons={last.reasons} />
+          </>
         ) : (
           <p class="dim">{words.idle}</p>
         )}

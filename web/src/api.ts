@@ -1,5 +1,7 @@
 // What `docs/openapi.json` says, as far as the page uses it, and the few calls that it makes.
 
+import { words } from "./words";
+
 export interface DeviceState {
   ready: boolean;
   description: string;
@@ -45,7 +47,76 @@ export interface Job {
   stage: string;
   done: number;
   total: number;
+  result?: unknown;
   problem: { code: string; words: string } | null;
+}
+
+/** Values as the camera labels them: seconds, f-number, ISO. */
+export interface Exposure {
+  shutter_s: number;
+  aperture: number;
+  iso: number;
+}
+
+export interface Plan {
+  off: Exposure;
+  on: Exposure;
+  words: string;
+}
+
+/** What a job of kind `find_exposure` found. */
+export interface FoundExposure {
+  exposure: Plan;
+  predicted_share: number;
+  shots: number;
+  warnings: string[];
+}
+
+/** Shares of the frame, from its top left corner. */
+export interface Region {
+  x: number;
+  y: number;
+  width: number;
+  height: number;
+}
+
+export interface LockItem {
+  name: string;
+  state: "locked" | "corrected" | "wrong" | "unreadable" | "warning";
+  value: string;
+  sentence: string;
+}
+
+export interface Camera {
+  model: string;
+  port: string;
+  exposure?: Exposure | null;
+  offered: { shutters_s: number[]; apertures: number[]; isos: number[] };
+  lock: LockItem[];
+}
+
+export interface ListedCamera {
+  model: string;
+  port: string;
+  in_use: boolean;
+}
+
+export interface ColourFigures {
+  colour: "red" | "green" | "blue";
+  /** Black and saturation, DN: the edges of the bins. */
+  from_dn: number;
+  to_dn: number;
+  bins: number[];
+  below_black: number;
+  at_saturation: number;
+  /** Shares of the region and of the whole frame, 0 to 1. */
+  clipped_share: number;
+  frame_clipped_share: number;
+  maximum_dn?: number | null;
+}
+
+export interface FrameFigures {
+  colours: ColourFigures[];
 }
 
 export interface Session {
@@ -55,6 +126,9 @@ export interface Session {
   accepted: number;
   has_scene: boolean;
   has_flash_calibration: boolean;
+  exposure?: Plan | null;
+  region?: Region | null;
+  confirmed: string[];
   results: { name: string; url: string }[];
 }
 
@@ -76,22 +150,29 @@ export interface State {
 /** The server's own sentence, or one of ours when it could not be reached. */
 export class ApiError extends Error {}
 
-async function call<T>(method: string, path: string, body?: unknown): Promise<T> {
+/** Asks, and throws an `ApiError` with the server's own sentence unless the answer is a good one. */
+export async function ask(path: string, init: RequestInit): Promise<Response> {
   let response: Response;
   try {
-    const init: RequestInit = { method };
-    if (body !== undefined) {
-      init.headers = { "Content-Type": "application/json" };
-      init.body = JSON.stringify(body);
-    }
     response = await fetch(`/api/v1${path}`, init);
-  } catch {
-    throw new ApiError("The unlit program does not answer. Is it still running?");
+  } catch (error) {
+    if (init.signal?.aborted) throw error;
+    throw new ApiError(words.noAnswer);
   }
   if (!response.ok) {
     const problem = (await response.json().catch(() => null)) as { detail?: string } | null;
-    throw new ApiError(problem?.detail ?? `The unlit program answered ${response.status}.`);
+    throw new ApiError(problem?.detail ?? words.answered(response.status));
   }
+  return response;
+}
+
+async function call<T>(method: string, path: string, body?: unknown, signal?: AbortSignal): Promise<T> {
+  const init: RequestInit = { method, signal: signal ?? null };
+  if (body !== undefined) {
+    init.headers = { "Content-Type": "application/json" };
+    init.body = JSON.stringify(body);
+  }
+  const response = await ask(path, init);
   return (response.status === 204 ? undefined : await response.json()) as T;
 }
 
@@ -107,4 +188,17 @@ export const api = {
   confirm: () => call<void>("POST", "/confirm"),
   cancel: (job: number) => call<Job>("DELETE", `/jobs/${job}`),
   process: (session: string) => call<Job>("POST", `/sessions/${at(session)}/process`),
+  camera: () => call<Camera>("GET", "/camera"),
+  cameras: () => call<ListedCamera[]>("GET", "/cameras"),
+  chooseCamera: (port: string) => call<Devices>("PUT", "/camera", { port }),
+  setExposure: (session: string, on: Exposure, off: Exposure | null) =>
+    call<Plan>("PUT", `/sessions/${at(session)}/exposure`, { on, off }),
+  findExposure: (session: string, separateOff: boolean) =>
+    call<Job>("POST", `/sessions/${at(session)}/find-exposure`, { separate_off: separateOff }),
+  setRegion: (session: string, region: Region | null) =>
+    call<void>("PUT", `/sessions/${at(session)}/region`, region),
+  confirmSettings: (session: string, names: string[]) =>
+    call<{ names: string[] }>("POST", `/sessions/${at(session)}/confirmed`, { names }),
+  histogram: (session: string, pair: number, frame: "off" | "on", signal: AbortSignal) =>
+    call<FrameFigures>("GET", `/sessions/${at(session)}/pairs/${pair}/${frame}/histogram`, undefined, signal),
 };

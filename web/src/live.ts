@@ -12,11 +12,23 @@ export interface Live {
   pairs: Pair[];
   /** Newest first. */
   jobs: Job[];
+  /** The job that has the camera, if any. */
+  rigJob: Job | null;
+  /** What is being done about a device that failed during the work that runs. */
+  recovery: string | null;
   troubles: string[];
   /** Runs a call; its error, if any, is shown in words. */
   attempt: <T>(call: Promise<T>) => Promise<T | undefined>;
   dismiss: () => void;
 }
+
+/** Jobs that use camera and flash, which only one can at a time. */
+const RIG = ["pair", "flash_shots", "find_exposure"];
+
+const isActive = (job: Job) => job.state === "running" || job.state === "queued";
+
+/** Jobs come over the events with their session under another name. */
+type ToldJob = Job & { subject?: string };
 
 interface Told<T> {
   words: string;
@@ -29,7 +41,10 @@ export function useLive(): Live {
   const [session, setSession] = useState<Session | null>(null);
   const [pairs, setPairs] = useState<Pair[]>([]);
   const [troubles, setTroubles] = useState<string[]>([]);
+  const [recovery, setRecovery] = useState<string | null>(null);
   const current = useRef<string | null>(null);
+  // Answers to older questions that come late are dropped.
+  const asked = useRef(0);
 
   const trouble = useCallback((said: string) => {
     setTroubles((before) => [said, ...before.filter((t) => t !== said)].slice(0, 3));
@@ -54,9 +69,10 @@ export function useLive(): Live {
         setSession(null);
       }
       current.current = name;
+      const question = ++asked.current;
       if (name === null) return;
       const [about, taken] = await Promise.all([attempt(api.session(name)), attempt(api.pairs(name))]);
-      if (current.current !== name) return;
+      if (asked.current !== question) return;
       if (about) setSession(about);
       if (taken) setPairs(taken.reverse());
     };
@@ -71,13 +87,17 @@ export function useLive(): Live {
     on<State>("state", (snapshot) => {
       setConnected(true);
       setState(snapshot);
+      setRecovery(null);
       void load(snapshot.session);
     });
     on<Told<Devices>>("devices", (told) => change({ devices: told.data }));
-    on<Told<{ session: string }>>("session", (told) => {
-      change({ session: told.data.session });
-      void load(told.data.session);
+    on<Told<{ session: string | null; changed?: string }>>("session", ({ data }) => {
+      change({ session: data.session });
+      if (data.session !== current.current || (data.changed ?? data.session) === data.session) {
+        void load(data.session);
+      }
     });
+    on<Told<null>>("recovery", (told) => setRecovery(told.words));
     on<Told<null>>("prompt", (told) => change({ prompt: told.words }));
     on<Told<null>>("prompt_done", () => change({ prompt: null }));
     on<Told<Studio>>("studio", (told) => change({ studio: told.data }));
@@ -85,11 +105,13 @@ export function useLive(): Live {
       if (told.data.session === current.current) void load(told.data.session);
     });
     on<Told<null>>("trouble", (told) => trouble(told.words));
-    on<Told<Job>>("job", ({ data: job }) => {
+    on<Told<ToldJob>>("job", ({ data }) => {
+      const job: Job = { ...data, session: data.session ?? data.subject ?? "" };
       setState(
         (before) => before && { ...before, jobs: [job, ...before.jobs.filter((j) => j.id !== job.id)] },
       );
       if (job.state === "running" && job.kind === "pair") setTroubles([]);
+      if (RIG.includes(job.kind) && !isActive(job)) setRecovery(null);
       if (job.state === "done" && job.kind !== "pair" && job.session === current.current) {
         void load(job.session);
       }
@@ -98,5 +120,7 @@ export function useLive(): Live {
   }, [attempt, trouble]);
 
   const jobs = [...(state?.jobs ?? [])].sort((a, b) => b.id - a.id);
-  return { connected, state, session, pairs, jobs, troubles, attempt, dismiss: () => setTroubles([]) };
+  const rigJob = jobs.find((job) => RIG.includes(job.kind) && isActive(job)) ?? null;
+  const dismiss = () => setTroubles([]);
+  return { connected, state, session, pairs, jobs, rigJob, recovery, troubles, attempt, dismiss };
 }
