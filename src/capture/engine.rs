@@ -35,10 +35,10 @@ pub fn words_on(record: &PairRecord) -> String {
 }
 
 /// How often a pair is tried when a device fails that can be brought back.
-const ATTEMPTS: u32 = 3;
+pub(super) const ATTEMPTS: u32 = 3;
 
 /// Whether bringing the device back and shooting again may help; what only the operator can mend is told at once.
-fn worth_another_try(error: &CaptureError) -> bool {
+pub(super) fn worth_another_try(error: &CaptureError) -> bool {
     match error {
         CaptureError::Camera(error) => error.may_pass(),
         CaptureError::Flash(error) => matches!(error, FlashError::Silent { .. } | FlashError::Lost { .. }),
@@ -146,7 +146,7 @@ impl Engine {
             _ => Earlier::load(session, progress)?,
         };
         let (_, earlier) = memory.insert((session.path().to_owned(), earlier));
-        let mut place = PairPlace::new(session, earlier).map_err(PlaceError::from)?;
+        let mut place = PairPlace::new(session, earlier)?;
         self.shoot(&mut place, progress)?;
         let record = place.into_record().ok_or(PlaceError::Incomplete)?;
         if let Some(after_pair) = after_pair
@@ -190,17 +190,9 @@ impl Engine {
             if !worth_another_try(error) || progress.is_cancelled() {
                 break;
             }
-            self.events.tell(Topic::Recovery, error.to_string(), json!({ "code": error.code() }));
-            progress.report("Bringing the devices back", 0, 1);
-            match bench.recover() {
-                Ok(steps) => {
-                    let words = format!("The camera is back{}.", told(&steps));
-                    self.events.tell(Topic::Recovery, words, json!({ "steps": steps }));
-                }
-                Err(error) => {
-                    outcome = Err(error.into());
-                    break;
-                }
+            if let Err(error) = self.bring_back(&mut bench, error, progress) {
+                outcome = Err(error);
+                break;
             }
             outcome = Run::new(&mut bench, place, &self.prompter, &self.limits, progress).finish();
         }
@@ -212,8 +204,31 @@ impl Engine {
         outcome
     }
 
+    /// Brings back what failed with `error`, and tells it.
+    pub(super) fn bring_back(
+        &self,
+        bench: &mut Bench,
+        error: &CaptureError,
+        progress: &Progress,
+    ) -> Result<(), CaptureError> {
+        self.events.tell(Topic::Recovery, error.to_string(), json!({ "code": error.code() }));
+        progress.report("Bringing the devices back", 0, 1);
+        let steps = bench.recover()?;
+        let words = format!("The camera is back{}.", told(&steps));
+        self.events.tell(Topic::Recovery, words, json!({ "steps": steps }));
+        Ok(())
+    }
+
+    pub(super) fn tell(&self, topic: Topic, words: String, data: serde_json::Value) {
+        self.events.tell(topic, words, data);
+    }
+
+    pub(super) fn prompter(&self) -> &Prompter {
+        &self.prompter
+    }
+
     /// The bench, once whoever has it is done; live view makes way.
-    fn take_bench(&self) -> MutexGuard<'_, Bench> {
+    pub(super) fn take_bench(&self) -> MutexGuard<'_, Bench> {
         let _reserved = self.live.reserve();
         lock(&self.bench)
     }

@@ -2,9 +2,13 @@
 
 use super::bench::NO_FLASH;
 use super::place::PlaceError;
+use crate::codec::raw::RawError;
+use crate::pair::finding::FindingError;
+use crate::pipeline::saturation::SaturationError;
 use crate::pipeline::stops::EarlierError;
 use crate::progress::Cancelled;
 use crate::rig::{CameraError, FlashError};
+use crate::session::SessionError;
 
 /// Why a pair was not stored.
 #[derive(Debug, thiserror::Error)]
@@ -31,6 +35,29 @@ pub enum CaptureError {
         /// What it says now.
         found: String,
     },
+    /// The camera does not tell its exposure, so that none can be found.
+    #[error(
+        "the camera does not tell shutter, aperture and sensitivity: turn its mode dial to M and set none of them to automatic"
+    )]
+    ExposureUntold,
+    /// No exposure reaches what was wished.
+    #[error(transparent)]
+    Finding(#[from] FindingError),
+    /// A test shot cannot be decoded.
+    #[error("the test shot cannot be used: {0}")]
+    TestShot(RawError),
+    /// The flash did not do in a test shot what it should.
+    #[error(
+        "the flash {} in a test shot; check its cable, charge and switch, and that nothing else triggers it",
+        if *expected { "did not fire once" } else { "fired although it should not" }
+    )]
+    TestShotMisfired {
+        /// Whether it should have fired.
+        expected: bool,
+    },
+    /// The session's saturation table.
+    #[error(transparent)]
+    Saturation(SaturationError),
     /// The system gave no thread.
     #[error("the frame could not be checked: no thread to be had ({0}); close other programs")]
     NoThread(std::io::Error),
@@ -55,6 +82,11 @@ impl CaptureError {
             CaptureError::NoFlash => "flash_missing",
             CaptureError::NotLocked(_) => "camera_not_locked",
             CaptureError::ExposureNotSet { .. } => "exposure_not_set",
+            CaptureError::ExposureUntold => "exposure_untold",
+            CaptureError::Finding(_) => "exposure_not_found",
+            CaptureError::TestShot(_) => "frame_unreadable",
+            CaptureError::TestShotMisfired { .. } => "flash_misfired",
+            CaptureError::Saturation(_) => "saturation_table_unreadable",
             CaptureError::NoThread(_) => "no_thread",
             CaptureError::Place(_) => "session_not_written",
             CaptureError::Cancelled(_) => "cancelled",
@@ -62,10 +94,16 @@ impl CaptureError {
     }
 }
 
+impl From<SessionError> for CaptureError {
+    fn from(error: SessionError) -> Self {
+        CaptureError::Place(error.into())
+    }
+}
+
 impl From<EarlierError> for CaptureError {
     fn from(error: EarlierError) -> Self {
         match error {
-            EarlierError::Session(error) => CaptureError::Place(error.into()),
+            EarlierError::Session(error) => error.into(),
             EarlierError::Cancelled(cancelled) => cancelled.into(),
         }
     }

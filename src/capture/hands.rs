@@ -3,7 +3,7 @@
 use super::bench::{Bench, FlashKind};
 use super::error::CaptureError;
 use super::prompt::Prompter;
-use crate::pair::{Dial, Exposure, Settings};
+use crate::pair::{Dial, Exposure, Offered, Settings};
 use crate::progress::{Cancelled, Progress};
 use crate::rig::{CameraError, Flash, FlashError, FlashShot, LockState, Shot};
 use std::time::{Duration, Instant};
@@ -34,6 +34,11 @@ impl Hands<'_> {
             return Err(CaptureError::NotLocked(wrong.join(" ")));
         }
         self.camera(|bench| bench.camera()?.settings())
+    }
+
+    /// What the dials offer.
+    pub(super) fn offered(&mut self) -> Result<Offered, CaptureError> {
+        self.camera(|bench| bench.camera()?.offered())
     }
 
     /// Turns the dials that do not stand as they should, and reads them back.

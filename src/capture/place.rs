@@ -1,12 +1,15 @@
 //! Where a pair of frames goes: into the session as a pair, or beside it as a calibration shot.
 
 use crate::pair::{Expected, FlashRecord, FrameRecord, PairRecord, Plan, Reason, Settings, Stop, Window};
+use crate::photometry::saturation::SaturationTable;
+use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::stops::{Delivery, Earlier};
 use crate::rig::Shot;
 use crate::session::{self, Commit, NewFrame, NewPair, Session, SessionError, store};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// One frame as the camera delivered it, with the settings out of its EXIF.
 pub(super) struct Delivered<'a> {
@@ -49,6 +52,9 @@ pub enum PlaceError {
         /// The system's own word.
         source: std::io::Error,
     },
+    /// The session's saturation table.
+    #[error(transparent)]
+    Saturation(#[from] SaturationError),
     /// A frame is missing.
     #[error("a frame of the pair is missing; take the pair again")]
     Incomplete,
@@ -64,6 +70,8 @@ pub(super) trait Place {
     fn adopt(&mut self, plan: Plan) -> Result<(), PlaceError>;
     /// Where the object is in the frame; everywhere if `None`.
     fn region(&self) -> Option<Window>;
+    /// Saturation as it was measured for the session.
+    fn saturation(&self) -> Arc<SaturationTable>;
     /// What is known beforehand of a pair whose files have the digests `off` and `on` and whose pulse measured
     /// `energy` counts.
     fn expected<'a>(&'a self, off: &'a str, on: &'a str, energy: Option<f64>) -> Expected<'a>;
@@ -79,14 +87,16 @@ pub(super) trait Place {
 pub(super) struct PairPlace<'a> {
     session: &'a Session,
     earlier: &'a mut Earlier,
+    saturation: Arc<SaturationTable>,
     number: u32,
     stored: Option<PairRecord>,
 }
 
 impl<'a> PairPlace<'a> {
     /// `earlier` remembers the session's pairs, and this one once it is stored.
-    pub(super) fn new(session: &'a Session, earlier: &'a mut Earlier) -> Result<Self, SessionError> {
-        Ok(Self { session, earlier, number: session.next_pair_number()?, stored: None })
+    pub(super) fn new(session: &'a Session, earlier: &'a mut Earlier) -> Result<Self, PlaceError> {
+        let saturation = Arc::new(saturation::load(session)?);
+        Ok(Self { session, earlier, saturation, number: session.next_pair_number()?, stored: None })
     }
 
     /// The pair, once stored.
@@ -119,6 +129,10 @@ impl Place for PairPlace<'_> {
 
     fn region(&self) -> Option<Window> {
         self.session.manifest().region
+    }
+
+    fn saturation(&self) -> Arc<SaturationTable> {
+        self.saturation.clone()
     }
 
     fn expected<'b>(&'b self, off: &'b str, on: &'b str, energy: Option<f64>) -> Expected<'b> {
@@ -221,6 +235,7 @@ fn disk(path: &Path) -> impl FnOnce(std::io::Error) -> PlaceError + use<> {
 pub(super) struct CardPlace<'a> {
     session: &'a Session,
     distance_m: f64,
+    saturation: Arc<SaturationTable>,
     name: String,
     tag: u32,
     stored: Option<CalibrationShot>,
@@ -234,7 +249,8 @@ impl<'a> CardPlace<'a> {
             .find(|name| !shots_dir(session).join(name).exists())
             .unwrap_or_default();
         let tag = u32::try_from(taken.len()).unwrap_or(u32::MAX - 1).saturating_add(1);
-        Ok(Self { session, distance_m, name, tag, stored: None })
+        let saturation = Arc::new(saturation::load(session)?);
+        Ok(Self { session, distance_m, saturation, name, tag, stored: None })
     }
 
     /// The shot, once stored.
@@ -291,6 +307,10 @@ impl Place for CardPlace<'_> {
 
     fn region(&self) -> Option<Window> {
         None
+    }
+
+    fn saturation(&self) -> Arc<SaturationTable> {
+        self.saturation.clone()
     }
 
     fn expected<'b>(&'b self, _off: &'b str, _on: &'b str, _energy: Option<f64>) -> Expected<'b> {

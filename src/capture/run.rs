@@ -6,9 +6,9 @@ use super::hands::{Hands, exposure_of};
 use super::machine::{Effect, End, Event, Frame, State, step};
 use super::place::{Delivered, Place, PlaceError, Shots};
 use super::prompt::Prompter;
-use crate::codec::raw::{self, Photo, RawError};
+use crate::codec::raw::{Photo, RawError};
 use crate::pair::{FlashRecord, Limits, Plan, Reason, ReasonCode, Settings, Stop, Verdict};
-use crate::pipeline::pairs;
+use crate::pipeline::{pairs, saturation};
 use crate::progress::{Cancelled, Progress};
 use crate::rig::{FlashShot, Shot};
 use crate::session::store;
@@ -212,9 +212,13 @@ impl<'a> Run<'a> {
 
     /// Decodes a frame on a thread of its own, while the next one is shot.
     fn begin_check(&mut self, frame: Frame) -> Result<(), CaptureError> {
+        let measured = self.place.saturation();
         let Some(taken) = self.slot(frame) else { return Ok(()) };
         let shot = taken.shot.clone();
-        let work = move || (raw::decode(&shot.raw.bytes, &shot.raw.name), store::digest(&shot.raw.bytes));
+        let work = move || {
+            let photo = saturation::decode(&shot.raw.bytes, &shot.raw.name, &measured);
+            (photo, store::digest(&shot.raw.bytes))
+        };
         let decoding = std::thread::Builder::new().name("frame check".into()).spawn(work);
         taken.decoding = Some(decoding.map_err(CaptureError::NoThread)?);
         Ok(())

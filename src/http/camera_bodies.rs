@@ -1,6 +1,6 @@
 //! What goes over the wire about the camera.
 
-use crate::capture::CameraState;
+use crate::capture::{CameraState, ExposureWish};
 use crate::pair::{Exposure, Plan, Window};
 use crate::photometry::inspect::{ChannelFigures, Inspection};
 use crate::rig::{CameraInfo, LockItem, LockState};
@@ -74,6 +74,30 @@ pub(super) struct ExposureOrder {
     pub(super) off: Option<ExposureBody>,
 }
 
+/// What to look for.
+#[derive(Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct FindOrder {
+    /// Share of saturation at which the brightest channel of the lit frame shall end, 0 to 1.
+    #[schema(example = 0.85)]
+    target_share: f64,
+    /// Whether the frame without flash may be exposed longer, for less noise.
+    separate_off: bool,
+}
+
+impl Default for FindOrder {
+    fn default() -> Self {
+        let ExposureWish { target_share, separate_off } = ExposureWish::default();
+        Self { target_share, separate_off }
+    }
+}
+
+impl From<FindOrder> for ExposureWish {
+    fn from(FindOrder { target_share, separate_off }: FindOrder) -> Self {
+        Self { target_share, separate_off }
+    }
+}
+
 /// The exposures of a session's pairs.
 #[derive(Serialize, ToSchema)]
 pub(super) struct PlanBody {
@@ -87,11 +111,7 @@ pub(super) struct PlanBody {
 
 impl From<Plan> for PlanBody {
     fn from(plan: Plan) -> Self {
-        let words = if plan.off == plan.on {
-            plan.on.to_string()
-        } else {
-            format!("without flash {}; with flash {}", plan.off, plan.on)
-        };
+        let words = plan.words();
         Self { off: plan.off.into(), on: plan.on.into(), words }
     }
 }

@@ -33,6 +33,17 @@ pub struct Plan {
     pub on: Exposure,
 }
 
+impl Plan {
+    /// Both exposures in words, once if they are equal.
+    pub fn words(&self) -> String {
+        if self.off == self.on {
+            self.on.to_string()
+        } else {
+            format!("without flash {}; with flash {}", self.off, self.on)
+        }
+    }
+}
+
 /// One dial and where it should stand.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -90,10 +101,10 @@ impl Window {
         }
     }
 
-    /// The sites of a frame of `width` x `height` that it covers, at least one 2x2 cell.
+    /// The sites of a frame of `width` x `height` that it covers, at least two cells of the filter array each way.
     pub fn sites(&self, width: usize, height: usize) -> Region {
         let span = |from: f64, size: f64, whole: usize| {
-            let least = 2.min(whole);
+            let least = 4.min(whole);
             let start = ((from.max(0.0) * whole as f64).floor() as usize).min(whole - least);
             let end = (((from + size) * whole as f64).ceil() as usize).clamp(start + least, whole);
             (start, end - start)
@@ -113,7 +124,7 @@ mod tests {
         assert_eq!(half.sites(600, 400), Region { x: 150, y: 200, width: 300, height: 200 });
         let sliver = Window { x: 1.0 - 1e-9, y: 0.0, width: 1e-9, height: 1e-9 };
         assert_eq!(sliver.checked(), Ok(sliver));
-        assert_eq!(sliver.sites(600, 400), Region { x: 598, y: 0, width: 2, height: 2 });
+        assert_eq!(sliver.sites(600, 400), Region { x: 596, y: 0, width: 4, height: 4 });
     }
 
     #[test]

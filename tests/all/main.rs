@@ -21,5 +21,5 @@ mod scene_import;
 mod session;
 mod studio_camera;
 mod studio_world;
-mod wall;
 mod usb_bench;
+mod wall;

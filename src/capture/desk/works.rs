@@ -3,6 +3,7 @@
 use super::error::{DeskError, JobError};
 use super::{Desk, FlashCard, SceneFiles};
 use crate::capture::events::Topic;
+use crate::capture::find::ExposureWish;
 use crate::capture::place::{calibration_shots, name_of};
 use crate::jobs::{Job, Lane, Order, Work};
 use crate::pair::Verdict;
@@ -23,6 +24,30 @@ impl Desk {
                 desk.process_if_ready(&session);
             }
             Ok(json!({ "session": name_of(&session), "number": record.number, "verdict": record.verdict }))
+        })
+    }
+
+    /// Finds the exposure of the session's pairs by test shots.
+    pub fn find_exposure(&self, session: &str, wish: ExposureWish) -> Result<Job, DeskError> {
+        if !(wish.target_share > 0.0 && wish.target_share <= 1.0) {
+            return Err(DeskError::BadValue(format!(
+                "target_share is {}, but the brightest channel can end between 0 and 1 of saturation only",
+                wish.target_share
+            )));
+        }
+        let session = self.session(session)?;
+        let desk = self.clone();
+        self.enqueue("find_exposure", &session.clone(), Lane::Rig, false, move |progress| {
+            let found = desk.0.engine.find_exposure(&session, wish, progress)?;
+            Ok(json!({
+                "plan": found.plan,
+                "words": found.plan.words(),
+                "predicted_share": found.predicted_share,
+                "ambient_share": found.ambient_share,
+                "flash_share": found.flash_share,
+                "shots": found.shots,
+                "warnings": found.warnings,
+            }))
         })
     }
 

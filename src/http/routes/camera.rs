@@ -1,13 +1,14 @@
 //! The camera: which one, how it stands, its live picture, exposure and region, histograms.
 
 use super::blocking;
+use super::jobs::accepted;
 use super::pairs::FrameName;
 use crate::capture::LivePicture;
 use crate::http::App;
-use crate::http::bodies::DevicesBody;
+use crate::http::bodies::{DevicesBody, JobBody};
 use crate::http::camera_bodies::{
-    CameraBody, CameraChoice, CameraListBody, ConfirmedBody, ExposureOrder, FrameFiguresBody, PlanBody,
-    WindowBody,
+    CameraBody, CameraChoice, CameraListBody, ConfirmedBody, ExposureOrder, FindOrder, FrameFiguresBody,
+    PlanBody, WindowBody,
 };
 use crate::http::problem::{Problem, ProblemBody};
 use axum::Json;
@@ -155,6 +156,30 @@ pub(super) async fn set_exposure(
         Ok(Json(plan.into()))
     })
     .await
+}
+
+/// Finds shutter, aperture and sensitivity by at most four test shots, in the session's region, and makes them
+/// the session's. The job's `result` has `plan`, `words`, `predicted_share`, `ambient_share`, `flash_share`,
+/// `shots` and `warnings`.
+#[utoipa::path(post, path = "/api/v1/sessions/{session}/find-exposure", tag = "capture",
+    params(("session" = String, Path, description = "Name of the session")),
+    request_body(content = Option<FindOrder>, description = "May be empty"),
+    responses((status = 202, description = "queued", body = JobBody, headers(("Location" = String))),
+        (status = 400, body = ProblemBody, content_type = "application/problem+json"),
+        (status = 404, body = ProblemBody, content_type = "application/problem+json"),
+        (status = 503, body = ProblemBody, content_type = "application/problem+json")))]
+pub(super) async fn find_exposure(
+    State(app): State<App>,
+    session: Result<Path<String>, PathRejection>,
+    body: Bytes,
+) -> Result<Response, Problem> {
+    let Path(session) = session?;
+    let order = if body.is_empty() {
+        FindOrder::default()
+    } else {
+        serde_json::from_slice(&body).map_err(|e| Problem::bad_request("body_invalid", e))?
+    };
+    Ok(accepted(blocking(move || app.desk.find_exposure(&session, order.into())).await?))
 }
 
 /// Sets where the object is in the frame, for exposure and checks; `null` is the whole frame.

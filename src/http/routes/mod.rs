@@ -43,6 +43,7 @@ pub(super) fn all() -> OpenApiRouter<App> {
         .routes(routes!(camera::live))
         .routes(routes!(camera::still))
         .routes(routes!(camera::set_exposure))
+        .routes(routes!(camera::find_exposure))
         .routes(routes!(camera::set_region))
         .routes(routes!(camera::confirm))
         .routes(routes!(camera::histogram))

@@ -9,7 +9,7 @@
 
 mod brightness;
 
-use super::plan::{Exposure, Offered, Plan};
+use super::plan::{Exposure, Offered, Plan, Window};
 use crate::photometry::Mosaic;
 use crate::photometry::apex::{ExposureScale, Nominal};
 use crate::photometry::inspect::Region;
@@ -45,8 +45,8 @@ pub struct Keep {
 /// What the operator wishes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wish {
-    /// Where the object is.
-    pub region: Region,
+    /// Where the object is; the whole frame if absent.
+    pub region: Option<Window>,
     /// Share of saturation at which the brightest channel of the lit frame shall end, 0 to 1.
     pub target_share: f64,
     /// Largest share of a channel's sites in the region that may be clipped.
@@ -63,7 +63,7 @@ pub struct Wish {
 
 impl Wish {
     /// The usual wish for a region: 85 % of saturation, 1 % clipped at most, everything free, X-sync at 1/200 s.
-    pub fn of(region: Region) -> Self {
+    pub fn of(region: Option<Window>) -> Self {
         Self {
             region,
             target_share: 0.85,
@@ -114,19 +114,6 @@ pub enum FindingError {
     /// A wish that cannot be.
     #[error("{0}")]
     Wish(String),
-    /// A test shot of the wrong size.
-    #[error(
-        "the region {},{},{},{} is not inside the test shot of {width} x {height} pixels; draw it anew on a frame of this raw size",
-        region.x, region.y, region.width, region.height
-    )]
-    Region {
-        /// The region.
-        region: Region,
-        /// Columns of the shot.
-        width: usize,
-        /// Rows of the shot.
-        height: usize,
-    },
     /// Nothing offered is dark enough.
     #[error(
         "even at {exposure} the brightest channel ends at {:.0} % of saturation instead of {:.0} %; {advice}, and try again",
@@ -309,13 +296,8 @@ impl<S: ExposureScale> Finding<S> {
     pub fn observe(&mut self, shot: &Mosaic) -> Result<(), FindingError> {
         let Next::Shoot { exposure, flash } = self.next()? else { return Ok(()) };
         let (width, height) = (shot.dn.width(), shot.dn.height());
-        let region = self.wish.region;
-        let fits = |from: usize, size: usize, whole: usize| {
-            size >= 4 && from.checked_add(size).is_some_and(|end| end <= whole)
-        };
-        if !fits(region.x, region.width, width) || !fits(region.y, region.height, height) {
-            return Err(FindingError::Region { region, width, height });
-        }
+        let whole = Region { x: 0, y: 0, width, height };
+        let region = self.wish.region.map_or(whole, |window| window.sites(width, height));
         let shot = Shot { exposure, seen: brightness(shot, region) };
         self.shots += 1;
         if flash {
