@@ -6,7 +6,7 @@ use crate::capture::events::Topic;
 use crate::capture::find::ExposureWish;
 use crate::capture::place::{calibration_shots, name_of};
 use crate::jobs::{Job, Lane, Order, Work};
-use crate::pair::Verdict;
+use crate::pair::{Exposure, Plan, Verdict};
 use crate::progress::Progress;
 use crate::session::Session;
 use serde_json::{Value, json};
@@ -39,9 +39,10 @@ impl Desk {
         let desk = self.clone();
         self.enqueue("find_exposure", &session.clone(), Lane::Rig, false, move |progress| {
             let found = desk.0.engine.find_exposure(&session, wish, progress)?;
+            let exposure = |e: Exposure| json!({ "shutter_s": e.shutter, "aperture": e.aperture, "iso": e.iso });
+            let Plan { off, on } = found.plan;
             Ok(json!({
-                "plan": found.plan,
-                "words": found.plan.words(),
+                "exposure": { "off": exposure(off), "on": exposure(on), "words": found.plan.words() },
                 "predicted_share": found.predicted_share,
                 "ambient_share": found.ambient_share,
                 "flash_share": found.flash_share,

@@ -159,7 +159,7 @@ pub(super) async fn set_exposure(
 }
 
 /// Finds shutter, aperture and sensitivity by at most four test shots, in the session's region, and makes them
-/// the session's. The job's `result` has `plan`, `words`, `predicted_share`, `ambient_share`, `flash_share`,
+/// the session's. The job's `result` has `exposure` (as PUT exposure answers), `predicted_share`, `ambient_share`, `flash_share`,
 /// `shots` and `warnings`.
 #[utoipa::path(post, path = "/api/v1/sessions/{session}/find-exposure", tag = "capture",
     params(("session" = String, Path, description = "Name of the session")),
