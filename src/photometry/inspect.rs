@@ -3,13 +3,13 @@
 //! Takes a [`Mosaic`] and a region, gives figures in DN as read: nothing scaled, nothing demosaiced.
 
 use super::{Levels, Mosaic};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Bins of a histogram.
 pub const BINS: usize = 100;
 
 /// A rectangle of sites in the active area.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Region {
     /// First column.
     pub x: usize,

@@ -13,8 +13,9 @@ use super::plan::{Exposure, Offered, Plan};
 use crate::photometry::Mosaic;
 use crate::photometry::apex::{ExposureScale, Nominal};
 use crate::photometry::inspect::Region;
-use crate::units::Seconds;
+use crate::units::{Iso, Seconds};
 use brightness::{Brightness, brightness};
+use serde::{Deserialize, Serialize};
 
 /// Most test shots.
 pub const MOST_SHOTS: usize = 4;
@@ -32,7 +33,8 @@ const UNLIT_SHARE: f64 = 0.6;
 const ROOM_DOMINATES: f64 = 0.5;
 
 /// Settings that must stay where they stand.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Keep {
     /// Exposure time.
     pub shutter: bool,
@@ -91,7 +93,7 @@ pub enum Next {
 }
 
 /// The exposures found, and what they give.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Found {
     /// Exposures of both frames.
     pub plan: Plan,
@@ -181,6 +183,8 @@ pub struct Finding<S = Nominal> {
     wish: Wish,
     scale: S,
     choices: Vec<Exposure>,
+    /// Amplification at the lowest ISO to choose from.
+    base_gain: f64,
     start: Exposure,
     offered: Offered,
     /// Light of each filter position at unit S (room) and unit ISO / N^2 (flash), at most.
@@ -248,10 +252,12 @@ impl<S: ExposureScale> Finding<S> {
                 all.extend(isos.iter().map(|&iso| Exposure { shutter, aperture, iso }));
             }
         }
+        let base_gain = isos.iter().map(|iso| scale.gain(*iso)).fold(f64::INFINITY, f64::min);
         Ok(Self {
             wish,
             scale,
             choices: all,
+            base_gain,
             start,
             offered: offered.clone(),
             room: [0.0; 4],
@@ -362,8 +368,7 @@ impl<S: ExposureScale> Finding<S> {
         // f/4 some bodies scale their raw values.
         let aperture =
             2.0 * (n - 8.0).max(0.0) + 2.5 * (6.0 - n).max(0.0) + if n < 3.9 { 100.0 } else { 0.0 };
-        let base = self.choices.iter().map(|c| self.scale.gain(c.iso)).fold(f64::INFINITY, f64::min);
-        let iso = (self.scale.gain(e.iso) / base.max(100.0)).log2();
+        let iso = (self.scale.gain(e.iso) / self.base_gain.max(self.scale.gain(Iso(100.0)))).log2();
         // Below ISO 100 bodies only pull.
         let iso = if iso < -0.01 { 1.0 - iso } else { iso };
         let shutter = 0.5 * (self.scale.time(e.shutter) / self.scale.time(self.start.shutter)).log2().abs();

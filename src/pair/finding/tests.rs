@@ -3,7 +3,7 @@
 use super::*;
 use crate::photometry::{Cfa, LevelSource, Levels};
 use crate::raster::Image;
-use crate::units::{FNumber, Iso};
+use crate::units::FNumber;
 use proptest::prelude::*;
 use rand::SeedableRng;
 use rand_distr::{Distribution, Normal};
