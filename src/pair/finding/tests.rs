@@ -1,6 +1,7 @@
 //! Scenes of random room and flash light before a simulated sensor.
 
 use super::*;
+use crate::photometry::inspect::Region;
 use crate::photometry::{Cfa, LevelSource, Levels};
 use crate::raster::Image;
 use crate::units::FNumber;
