@@ -229,10 +229,15 @@ fn correlate(off: &Image<f32>, on: &Image<f32>, guess: (isize, isize), reach: is
     if peak < SIGNIFICANT * noise {
         return None;
     }
-    if peak - still < SIGNIFICANT * noise && guess == (0, 0) && shifts[best] != (0, 0) {
-        return Some((0.0, 0.0));
+    let (mut best_x, mut best_y) = shifts[best];
+    if peak - still < SIGNIFICANT * noise && guess == (0, 0) {
+        // A peak that does not stand out above no movement may be the neighbour of one between the two; farther
+        // off it is chance.
+        if best_x.abs() > 1 || best_y.abs() > 1 {
+            return Some((0.0, 0.0));
+        }
+        (best_x, best_y) = (0, 0);
     }
-    let (best_x, best_y) = shifts[best];
     let at = |dx: isize, dy: isize| {
         shifts.iter().position(|s| *s == (best_x + dx, best_y + dy)).map_or(f64::NAN, |i| scores[i])
     };

@@ -80,23 +80,30 @@ impl Stop {
             flash_unit,
             gain,
         };
-        let telling = (0..stop.ambient.len()).filter(|&i| stop.tells(i, &stop)).count();
+        let (telling, _) = stop.compare(&stop, 0.0);
         (telling as f64 >= TELLING * stop.ambient.len() as f64).then_some(stop)
     }
 
-    fn room(&self, i: usize) -> f32 {
-        f32::from(self.ambient[i]) * self.ambient_unit
+    /// Largest difference of two grid cells at a level that noise alone makes.
+    fn blur(noise: f32, level: f32) -> f32 {
+        SIGMAS * noise * level.max(DARK).sqrt()
     }
 
-    /// Noise of the difference of two grid cells at a level.
-    fn noise_with(&self, other: &Stop, level: f32) -> f32 {
-        self.noise.hypot(other.noise) * level.max(DARK).sqrt()
-    }
-
-    /// Whether a grid cell is bright enough to tell one view from another.
-    fn tells(&self, i: usize, other: &Stop) -> bool {
-        let level = self.room(i).max(other.room(i));
-        BLUR * level > SIGMAS * self.noise_with(other, level)
+    /// How many grid cells are bright enough to tell one view from another, and how many of them differ by more
+    /// than their noise and `tolerance`, a share of their light.
+    fn compare(&self, other: &Stop, tolerance: f32) -> (usize, usize) {
+        let noise = self.noise.hypot(other.noise);
+        let (mut telling, mut differing) = (0, 0);
+        for (&a, &b) in self.ambient.iter().zip(&other.ambient) {
+            let (a, b) = (f32::from(a) * self.ambient_unit, f32::from(b) * other.ambient_unit);
+            let level = a.max(b);
+            let blur = Self::blur(noise, level);
+            if blur < BLUR * level {
+                telling += 1;
+                differing += usize::from((a - b).abs() > blur.max(tolerance * level));
+            }
+        }
+        (telling, differing)
     }
 
     /// Share of the telling grid cells whose room light differs by more than its noise and `tolerance` (a share of
@@ -109,17 +116,8 @@ impl Stop {
         if (self.size, self.grid) != (other.size, other.grid) || !whole(self) || !whole(other) {
             return None;
         }
-        let telling = || (0..self.ambient.len()).filter(|&i| self.tells(i, other));
-        let count = telling().count();
-        if (count as f64) < TELLING * self.ambient.len() as f64 {
-            return None;
-        }
-        let differs = |&i: &usize| {
-            let (a, b) = (self.room(i), other.room(i));
-            let level = a.max(b);
-            (a - b).abs() > (tolerance * level).max(SIGMAS * self.noise_with(other, level))
-        };
-        Some(telling().filter(differs).count() as f64 / count as f64)
+        let (telling, differing) = self.compare(other, tolerance);
+        (telling as f64 >= TELLING * self.ambient.len() as f64).then(|| differing as f64 / telling as f64)
     }
 
     /// Whether both were shot from one stop, as far as the room's light tells.

@@ -97,10 +97,12 @@ pub(super) fn survey(off: &Mosaic, on: &Mosaic, scale: f32, region: Region) -> S
         blocks.extend(band.blocks);
         for f in [0, 1] {
             means[f].extend_from_slice(&band.cells[f]);
-            let counts = band.clipped[f];
-            for c in 0..3 {
-                clipped[f].inside[c].clipped += counts[0][c];
-                clipped[f].outside[c].clipped += counts[1][c];
+            let [inside, outside] = band.clipped[f];
+            for (tally, count) in clipped[f].inside.iter_mut().zip(inside) {
+                tally.clipped += count;
+            }
+            for (tally, count) in clipped[f].outside.iter_mut().zip(outside) {
+                tally.clipped += count;
             }
         }
     }

@@ -315,10 +315,10 @@ fn a_session_measures_where_its_sensor_clips_and_judges_by_it() {
     let blown = birdbath("calibration/white/d0500_1.dng").display().to_string();
     let dark = birdbath("calibration/dark/0.dng").display().to_string();
     let lit = birdbath("bad/good_on.dng").display().to_string();
-    for unfit in [&dark, &lit] {
+    for (unfit, words) in [(&dark, "too close to black"), (&lit, "sites are not blown")] {
         let out = unlit(&["calibrate", "saturation", &session, unfit], home.path());
         assert_eq!(out.status.code(), Some(1), "{unfit}: {}", text(&out.stdout));
-        assert!(text(&out.stderr).contains("sites are not blown"), "{}", text(&out.stderr));
+        assert!(text(&out.stderr).contains(words), "{}", text(&out.stderr));
     }
     let out = unlit(&["calibrate", "saturation", &session, &blown], home.path());
     assert!(out.status.success(), "{}{}", text(&out.stdout), text(&out.stderr));

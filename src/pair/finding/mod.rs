@@ -8,12 +8,15 @@
 //! how far up it is safe to go; 14 bits hold enough range that the next shot is then neither.
 
 mod brightness;
+mod wish;
 
-use super::plan::{Exposure, Offered, Plan, Window};
+pub use wish::{FindingError, Found, Keep, Next, Wish};
+
+use super::plan::{Exposure, Offered, Plan};
 use crate::photometry::Mosaic;
 use crate::photometry::apex::{ExposureScale, Nominal};
 use crate::photometry::inspect::Region;
-use crate::units::Seconds;
+use crate::units::{Iso, Seconds};
 use brightness::{Brightness, brightness};
 
 /// Most test shots.
@@ -31,143 +34,14 @@ const UNLIT_SHARE: f64 = 0.6;
 /// Share of the lit frame's light from which on the room dominates: its noise then outweighs the flash's.
 const ROOM_DOMINATES: f64 = 0.5;
 
-/// Settings that must stay where they stand.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Keep {
-    /// Exposure time.
-    pub shutter: bool,
-    /// Aperture, for the depth of field.
-    pub aperture: bool,
-    /// Sensitivity.
-    pub iso: bool,
-}
-
-/// What the operator wishes.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wish {
-    /// Where the object is; the whole frame if absent.
-    pub region: Option<Window>,
-    /// Share of saturation at which the brightest channel of the lit frame shall end, 0 to 1.
-    pub target_share: f64,
-    /// Largest share of a channel's sites in the region that may be clipped.
-    pub clipped_share: f64,
-    /// Whether the room is dark, so that no test shot without flash is needed.
-    pub flash_only: bool,
-    /// What must stay.
-    pub keep: Keep,
-    /// Whether the unlit frame may be exposed longer, for less noise.
-    pub separate_off: bool,
-    /// Fastest shutter at which the whole frame sees the flash.
-    pub x_sync: Seconds,
-}
-
-impl Wish {
-    /// The usual wish for a region: 85 % of saturation, 1 % clipped at most, everything free, X-sync at 1/200 s.
-    pub fn of(region: Option<Window>) -> Self {
-        Self {
-            region,
-            target_share: 0.85,
-            clipped_share: 0.01,
-            flash_only: false,
-            keep: Keep::default(),
-            separate_off: false,
-            x_sync: Seconds(1.0 / 200.0),
-        }
-    }
-}
-
-/// What to do next.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Next {
-    /// Take a test shot and show it to [`Finding::observe`].
-    Shoot {
-        /// Settings of the shot.
-        exposure: Exposure,
-        /// Whether the flash shall fire.
-        flash: bool,
-    },
-    /// The plan is found.
-    Done(Found),
-}
-
-/// The exposures found, and what they give.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Found {
-    /// Exposures of both frames.
-    pub plan: Plan,
-    /// Share of saturation of the lit frame's brightest channel.
-    pub predicted_share: f64,
-    /// Of that, the room's light.
-    pub ambient_share: f64,
-    /// Of that, the flash's light.
-    pub flash_share: f64,
-    /// Test shots taken.
-    pub shots: usize,
-    /// What the operator should know, in sentences.
-    pub warnings: Vec<String>,
-}
-
-/// Why no exposure can be found.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum FindingError {
-    /// A wish that cannot be.
-    #[error("{0}")]
-    Wish(String),
-    /// Nothing offered is dark enough.
-    #[error(
-        "even at {exposure} the brightest channel ends at {:.0} % of saturation instead of {:.0} %; {advice}, and try again",
-        100.0 * share, 100.0 * target
-    )]
-    TooBright {
-        /// The darkest settings offered.
-        exposure: Exposure,
-        /// Where they end, a share of saturation.
-        share: f64,
-        /// Where they should.
-        target: f64,
-        /// What to change.
-        advice: &'static str,
-    },
-    /// Nothing offered is bright enough.
-    #[error(
-        "even at {exposure} the brightest channel reaches {:.1} % of saturation only, not {:.0} %; raise the flash's power, bring it nearer, or free aperture and ISO, and try again",
-        100.0 * share, 100.0 * target
-    )]
-    TooDark {
-        /// The brightest settings offered.
-        exposure: Exposure,
-        /// Where they end, a share of saturation.
-        share: f64,
-        /// Where they should.
-        target: f64,
-    },
-    /// The offered steps are too coarse.
-    #[error(
-        "the nearest settings offered, {exposure}, end at {:.0} % of saturation instead of {:.0} %; set the camera to third stops, or free one more setting",
-        100.0 * share, 100.0 * target
-    )]
-    TooCoarse {
-        /// The nearest settings.
-        exposure: Exposure,
-        /// Where they end, a share of saturation.
-        share: f64,
-        /// Where they should.
-        target: f64,
-    },
-    /// The light would not hold still.
-    #[error(
-        "{MOST_SHOTS} test shots did not settle the exposure: the light changes from shot to shot; let the flash recharge, keep lamps and windows steady, and try again"
-    )]
-    Unsteady,
-}
-
 /// A search under way. `S` says how light scales with settings: [`Nominal`], or a body's measured table.
 #[derive(Clone, Debug)]
 pub struct Finding<S = Nominal> {
     wish: Wish,
     scale: S,
     choices: Vec<Exposure>,
+    /// Amplification at the lowest ISO to choose from.
+    base_gain: f64,
     start: Exposure,
     offered: Offered,
     /// Light of each filter position at unit S (room) and unit ISO / N^2 (flash), at most.
@@ -235,10 +109,12 @@ impl<S: ExposureScale> Finding<S> {
                 all.extend(isos.iter().map(|&iso| Exposure { shutter, aperture, iso }));
             }
         }
+        let base_gain = isos.iter().map(|iso| scale.gain(*iso)).fold(f64::INFINITY, f64::min);
         Ok(Self {
             wish,
             scale,
             choices: all,
+            base_gain,
             start,
             offered: offered.clone(),
             room: [0.0; 4],
@@ -344,8 +220,7 @@ impl<S: ExposureScale> Finding<S> {
         // f/4 some bodies scale their raw values.
         let aperture =
             2.0 * (n - 8.0).max(0.0) + 2.5 * (6.0 - n).max(0.0) + if n < 3.9 { 100.0 } else { 0.0 };
-        let base = self.choices.iter().map(|c| self.scale.gain(c.iso)).fold(f64::INFINITY, f64::min);
-        let iso = (self.scale.gain(e.iso) / base.max(100.0)).log2();
+        let iso = (self.scale.gain(e.iso) / self.base_gain.max(self.scale.gain(Iso(100.0)))).log2();
         // Below ISO 100 bodies only pull.
         let iso = if iso < -0.01 { 1.0 - iso } else { iso };
         let shutter = 0.5 * (self.scale.time(e.shutter) / self.scale.time(self.start.shutter)).log2().abs();
