@@ -6,9 +6,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use unlit::pair::{Dial, Exposure};
 use unlit::rig::camera::{Deadlines, HostedCamera, Launch, Target, list_with};
-use unlit::rig::{Camera, CameraError};
+use unlit::rig::{Camera, CameraError, LockState};
 use unlit::studio::View;
-use unlit::studio::camera::{CameraServer, Fault};
+use unlit::studio::camera::{BodyOptions, CameraServer, Drive, Fault, Files, Focus, Mode};
 use unlit::units::{FNumber, Iso, Seconds};
 
 /// Gives a different blob for each frame, longer than one download chunk, and remembers the exposures.
@@ -47,6 +47,12 @@ impl Studio {
     pub(crate) fn new() -> Self {
         let view = Arc::new(Blobs::default());
         Self { server: CameraServer::start(view.clone()).unwrap(), view }
+    }
+
+    /// A body that stands otherwise.
+    pub(crate) fn with(options: &BodyOptions) -> Self {
+        let view = Arc::new(Blobs::default());
+        Self { server: CameraServer::start_with(view.clone(), options).unwrap(), view }
     }
 
     pub(crate) fn camera(&self) -> HostedCamera {
@@ -272,4 +278,114 @@ fn a_host_started_by_hand_says_who_starts_it() {
         .unwrap();
     assert_eq!(run.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&run.stderr).contains("started by unlit itself"));
+}
+
+#[test]
+fn both_files_of_one_release_stay_together_whichever_comes_first() {
+    for jpeg_first in [false, true] {
+        let options = BodyOptions { files: Files::RawAndJpeg, jpeg_first, ..BodyOptions::default() };
+        let studio = Studio::with(&options);
+        let mut camera = studio.camera();
+        for number in 0..2 {
+            let shot = camera.shoot().unwrap();
+            assert!(shot.raw.bytes == blob(number), "jpeg first {jpeg_first}: not the raw of this release");
+            let jpeg = shot.jpeg.expect("the companion belongs to the shot");
+            assert_eq!(jpeg.bytes, PREVIEW);
+            assert_ne!(jpeg.name, shot.raw.name);
+            assert_eq!(studio.server.frames_waiting(), 0);
+        }
+    }
+}
+
+#[test]
+fn frames_on_the_card_are_fetched_once_and_stay_there() {
+    let studio = Studio::with(&BodyOptions { card_room: Some(20), ..BodyOptions::default() });
+    let port = studio.server.port();
+    let mut camera =
+        HostedCamera::open_with(&launch(), Some(&port), Deadlines::default(), Target::Card).unwrap();
+    for number in 0..3 {
+        let shot = camera.shoot().unwrap();
+        eprintln!("card shot {number}: {} {:?}", shot.raw.name, shot.times);
+        assert!(shot.raw.bytes == blob(number));
+    }
+    assert_eq!(studio.server.files_on_card(), 3, "the photographer's own copies");
+    studio.server.fault(Fault::CutDownload { missing: 4096 });
+    assert!(camera.shoot().unwrap().raw.bytes == blob(3), "what is still on the card is fetched again");
+    assert_eq!(studio.frames(), 4);
+}
+
+#[test]
+fn the_lock_of_a_body_set_up_well_holds_and_asks_what_no_body_tells() {
+    let studio = Studio::new();
+    let report = studio.camera().lock().unwrap();
+    eprintln!("{report:#?}");
+    for state in [LockState::Wrong, LockState::Corrected] {
+        assert!(report.sentences(state).is_empty(), "{:?}", report.sentences(state));
+    }
+    for name in
+        ["mode", "shutter", "aperture", "iso", "focus", "drive", "bracketing", "file_format", "target"]
+    {
+        let item = report.items.iter().find(|i| i.name == name).unwrap();
+        assert_eq!(item.state, LockState::Locked, "{item:?}");
+    }
+    assert!(report.sentences(LockState::Unreadable).iter().any(|q| q.contains("Mirror lockup")));
+}
+
+#[test]
+fn the_lock_sets_what_may_be_set_and_says_what_only_a_hand_can_change() {
+    let options = BodyOptions {
+        mode: Mode::Aperture,
+        focus: Focus::OneShot,
+        drive: Drive::Continuous,
+        files: Files::Jpeg,
+        white_balance: 0,
+        auto_power_off: 60,
+        noise_reduction: 2,
+        bracketing: 8,
+        ..BodyOptions::default()
+    };
+    let studio = Studio::with(&options);
+    let mut camera = studio.camera();
+    let report = camera.lock().unwrap();
+    eprintln!("{report:#?}");
+    let state = |name: &str| report.items.iter().find(|i| i.name == name).unwrap().state;
+    for name in ["mode", "focus"] {
+        assert_eq!(state(name), LockState::Wrong, "{name}");
+    }
+    for name in
+        ["drive", "file_format", "white_balance", "auto_power_off", "high_iso_noise_reduction", "bracketing"]
+    {
+        assert_eq!(state(name), LockState::Corrected, "{name}");
+    }
+    studio.server.turn_mode_dial(Mode::Manual);
+    studio.server.switch_focus(Focus::Manual);
+    let again = camera.lock().unwrap();
+    assert!(again.sentences(LockState::Wrong).is_empty(), "{:?}", again.sentences(LockState::Wrong));
+    assert!(camera.shoot().unwrap().raw.bytes == blob(0));
+}
+
+#[test]
+fn a_lens_that_finds_no_focus_is_told_by_its_name() {
+    let studio = Studio::with(&BodyOptions { focus: Focus::OneShot, ..BodyOptions::default() });
+    let mut camera = studio.camera();
+    studio.server.fault(Fault::NoFocus);
+    let error = camera.shoot().unwrap_err();
+    assert!(matches!(error, CameraError::NoFocus(_)), "{error}");
+    assert!(camera.shoot().unwrap().raw.bytes == blob(0), "the camera stays open");
+}
+
+/// What the driver adds to each shot beyond what the camera itself takes.
+#[test]
+fn the_driver_costs_little_beyond_the_cameras_own_time() {
+    let studio = Studio::new();
+    let mut camera = studio.camera();
+    let mut costs: Vec<Duration> = (0..10)
+        .map(|_| {
+            let times = camera.shoot().unwrap().times;
+            times.total - times.exposing - times.transfer - times.until_ready
+        })
+        .collect();
+    costs.sort();
+    eprintln!("driver's own cost a shot: median {:.1?}, worst {:.1?}", costs[5], costs[9]);
+    assert!(costs[5] < Duration::from_millis(100), "{costs:?}");
 }

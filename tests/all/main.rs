@@ -6,6 +6,7 @@ mod api;
 mod birdbath;
 mod camera;
 mod camera_faults;
+mod camera_usb;
 mod capture;
 mod decoders;
 mod evaluate;

@@ -160,12 +160,14 @@ impl Body {
     fn fetch(&mut self, path: &CameraFilePath) -> Answer<ShotFile> {
         let (folder, name) = (path.folder(), path.name());
         let announced = self.camera.fs().file_info(&folder, &name).wait()?.file().size().unwrap_or(0);
-        let mut bytes = self.download(path)?;
-        if is_cut(&bytes, announced) && folder != MEMORY {
-            tracing::warn!("{name} came with {} of {announced} bytes and is fetched again", bytes.len());
+        let mut bytes = self.download(path);
+        let whole = bytes.as_ref().is_ok_and(|bytes| !is_cut(bytes, announced));
+        if !whole && folder != MEMORY {
+            tracing::warn!("{name} did not come whole from the card and is fetched again");
             self.forget_copies();
-            bytes = self.download(path)?;
+            bytes = self.download(path);
         }
+        let bytes = bytes?;
         self.forget(path)?;
         if is_cut(&bytes, announced) {
             let trouble = Trouble::Incomplete { got: bytes.len() as u64, announced };
