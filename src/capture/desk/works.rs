@@ -39,7 +39,8 @@ impl Desk {
         let desk = self.clone();
         self.enqueue("find_exposure", &session.clone(), Lane::Rig, false, move |progress| {
             let found = desk.0.engine.find_exposure(&session, wish, progress)?;
-            let exposure = |e: Exposure| json!({ "shutter_s": e.shutter, "aperture": e.aperture, "iso": e.iso });
+            let exposure =
+                |e: Exposure| json!({ "shutter_s": e.shutter, "aperture": e.aperture, "iso": e.iso });
             let Plan { off, on } = found.plan;
             Ok(json!({
                 "exposure": { "off": exposure(off), "on": exposure(on), "words": found.plan.words() },
