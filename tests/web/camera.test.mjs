@@ -111,6 +111,16 @@ test("keys move, size and clear the region", async () => {
   await page.close();
 });
 
+test("a region made by keys is kept though the live view is ended at once", async () => {
+  const { page } = await withLiveView(1280, 900);
+  await page.locator(".region").press("Enter");
+  // By script, so that no time goes by between the key and the end.
+  await page.evaluate(() => [...document.querySelectorAll("button")].find((b) => b.innerText === "End live view").click());
+  await until((said) => said.region, "the region was lost");
+  await house.api("PUT", "/sessions/camera/region", null);
+  await page.close();
+});
+
 test("a finger draws the region on a telephone", async () => {
   const { page, complaints } = await withLiveView(390, 844, { hasTouch: true, isMobile: true });
   const finger = await page.context().newCDPSession(page);

@@ -86,5 +86,5 @@ function outline(bins: number[], tall: (count: number) => number): string {
 
 /** The largest value on the way from black to saturation. */
 function brightest({ maximum_dn, from_dn, to_dn }: ColourFigures): string {
-  return maximum_dn == null ? words.unknown : words.share(Math.max(0, maximum_dn - from_dn) / (to_dn - from_dn));
+  return maximum_dn == null ? words.unknown : words.level(Math.max(0, maximum_dn - from_dn) / (to_dn - from_dn));
 }

@@ -41,8 +41,9 @@ interface Wanted {
 }
 
 function Histograms({ session, pair, scale, region }: Wanted) {
-  const [frames, setFrames] = useState<{ off?: FrameFigures; on?: FrameFigures }>({});
+  const [frames, setFrames] = useState<{ about: string; off: FrameFigures; on: FrameFigures } | null>(null);
   const [problem, setProblem] = useState<string | null>(null);
+  const about = [session, pair.number, region].join("\n");
   useEffect(() => {
     const end = new AbortController();
     const load = async () => {
@@ -51,24 +52,25 @@ function Histograms({ session, pair, scale, region }: Wanted) {
         const on = await api.histogram(session, pair.number, "on", end.signal);
         const off = await api.histogram(session, pair.number, "off", end.signal);
         if (end.signal.aborted) return;
-        setFrames({ off, on });
-        setProblem(null);
+        setFrames({ about, off, on });
       } catch (error) {
         if (end.signal.aborted) return;
-        setFrames({});
         setProblem(error instanceof Error ? error.message : String(error));
       }
     };
+    setProblem(null);
     void load();
     return () => end.abort();
-  }, [session, pair.number, region]);
+  }, [about]);
 
   if (problem) return <p class="dim">{problem}</p>;
+  if (!frames) return <p class="dim">{words.histogramsWait}</p>;
   const inRegion = region !== "null";
+  // Figures of the pair before keep the place, but are not to be taken for those of this one.
   return (
-    <div class="histograms">
-      {frames.off && <Histogram figures={frames.off} scale={scale} label={words.off} inRegion={inRegion} />}
-      {frames.on && <Histogram figures={frames.on} scale={scale} label={words.on} inRegion={inRegion} />}
+    <div class={frames.about === about ? "histograms" : "histograms old"}>
+      <Histogram figures={frames.off} scale={scale} label={words.off} inRegion={inRegion} />
+      <Histogram figures={frames.on} scale={scale} label={words.on} inRegion={inRegion} />
     </div>
   );
 }

@@ -17,17 +17,25 @@ export function RegionFrame({ region, onChange }: Props) {
   // What is drawn but not yet the session's; undefined when there is no such thing.
   const [draft, setDraft] = useState<Region | null | undefined>(undefined);
   const start = useRef<Point | null>(null);
-  const rest = useRef<number | undefined>(undefined);
+  // What the keys have made of it, to be sent when they rest or the picture goes.
+  const typed = useRef<{ timer: number; wanted: Region | null } | null>(null);
   const shown = draft === undefined ? region : draft;
 
   useEffect(() => {
-    if (!start.current && rest.current === undefined) setDraft(undefined);
+    if (!start.current && !typed.current) setDraft(undefined);
   }, [region]);
-  useEffect(() => () => window.clearTimeout(rest.current), []);
 
   const keep = async (wanted: Region | null) => {
     if (!(await onChange(wanted))) setDraft(undefined);
   };
+  const send = () => {
+    if (!typed.current) return;
+    window.clearTimeout(typed.current.timer);
+    const { wanted } = typed.current;
+    typed.current = null;
+    void keep(wanted);
+  };
+  useEffect(() => send, []);
   const point = (event: PointerEvent): Point => {
     const box = (event.currentTarget as HTMLElement).getBoundingClientRect();
     return { x: (event.clientX - box.left) / box.width, y: (event.clientY - box.top) / box.height };
@@ -40,6 +48,8 @@ export function RegionFrame({ region, onChange }: Props) {
   const down = (event: PointerEvent) => {
     if (!event.isPrimary || event.button !== 0) return;
     (event.currentTarget as HTMLElement).setPointerCapture(event.pointerId);
+    window.clearTimeout(typed.current?.timer);
+    typed.current = null;
     start.current = point(event);
   };
   const move = (event: PointerEvent) => {
@@ -65,11 +75,8 @@ export function RegionFrame({ region, onChange }: Props) {
     if (changed === undefined) return;
     event.preventDefault();
     setDraft(changed);
-    window.clearTimeout(rest.current);
-    rest.current = window.setTimeout(() => {
-      rest.current = undefined;
-      void keep(changed);
-    }, KEYS_REST_MS);
+    window.clearTimeout(typed.current?.timer);
+    typed.current = { timer: window.setTimeout(send, KEYS_REST_MS), wanted: changed };
   };
 
   return (

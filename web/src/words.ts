@@ -113,6 +113,7 @@ export const words = {
   scale: "Scale of the histograms",
   scales: { logarithmic: "Logarithmic", linear: "Linear" },
   histogram: (frame: string, scale: string) => `Raw histogram, ${frame.toLowerCase()}, ${scale}`,
+  histogramsWait: "Counting the sensor values…",
   black: "black",
   saturation: "saturation",
   colours: { red: "Red", green: "Green", blue: "Blue" },
@@ -120,6 +121,7 @@ export const words = {
   clipped: "Clipped",
   clippedInRegion: "Clipped in region",
   clippedInFrame: "In frame",
+  level: (share: number) => percent(share, 0),
   share: (share: number) =>
     share === 0 ? "0 %" : share < 0.0001 ? "< 0.01 %" : percent(share, share < 0.1 ? 2 : 0),
 };
