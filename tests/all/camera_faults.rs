@@ -47,15 +47,11 @@ const ROWS: &[Row] = &[
         22,
     ),
     row("frame announced twice", Fault::DoubledObject, &[], 2),
-    row(
-        "frame shorter than announced",
-        Fault::CutObject { missing: 4096 },
-        &["camera_deadline", "camera_lost"],
-        18,
-    ),
-    row("download cut short, frame still in the camera", Fault::CutDownload { missing: 4096 }, &[], 2),
-    row("link lost in the download", Fault::DropInDownload, &["camera_lost"], 6),
-    row("one operation never answered", Fault::StallOnce, &["camera_deadline"], 14),
+    row("frame shorter than announced", Fault::CutObject { missing: 4096 }, CUT, 10),
+    row("frame shorter than announced, library asks for the rest for ever", HOLLOW, &["camera_deadline"], 18),
+    row("download cut short", Fault::CutDownload { missing: 4096 }, CUT, 10),
+    row("link lost in the download", Fault::DropInDownload, &["camera_lost"], 10),
+    row("one operation never answered", Fault::StallOnce, &[], 8),
     row("frame of the release before once more", Fault::RepeatedFrame, &["camera_frame_untrusted"], 2),
     row("body busy for 1.5 s after the frame", Fault::SlowReady(Duration::from_millis(1500)), &[], 4),
 ];
@@ -89,7 +85,6 @@ fn prove(row: &Row) -> Duration {
     let (shot, codes) = shoot_through(&mut camera);
     let took = began.elapsed();
     eprintln!("{}: {codes:?}, usable after {took:.1?}", row.what);
-    assert_eq!(studio.server.struck(), [row.fault].repeat(studio.server.struck().len()), "{}", row.what);
     assert!(!studio.server.struck().is_empty(), "{} never struck", row.what);
     assert!(codes.iter().all(|code| row.codes.contains(code)), "{}: {codes:?}", row.what);
     assert_eq!(codes.is_empty(), row.codes.is_empty(), "{}: {codes:?}", row.what);
