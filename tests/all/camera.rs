@@ -29,7 +29,7 @@ pub(crate) const PREVIEW: &[u8] = &[0xff, 0xd8, 0xff, 0xe0, 1, 2, 3, 4, 0xff, 0x
 
 impl View for Blobs {
     fn expose(&self, exposure: &Exposure) -> Vec<u8> {
-        self.exposures.lock().unwrap().push(exposure.clone());
+        self.exposures.lock().unwrap().push(*exposure);
         blob(self.frames.fetch_add(1, Ordering::SeqCst))
     }
 
