@@ -13,7 +13,7 @@ const SOURCE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/src/studio/usb/usb1.c
 
 /// A folder with the stand-in for libgphoto2's USB port driver, compiled once a process, and the library's own PTP/IP
 /// port driver.
-pub fn iolibs() -> &'static Path {
+pub(crate) fn iolibs() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {
         // One folder for good: a static is never dropped, so a temporary one would be left behind by each run.

@@ -7,7 +7,7 @@ use super::options::{BodyOptions, Files, Focus, Mode};
 use super::properties::{Properties, SetError, TARGET_CARD, TARGET_COMPUTER, prop};
 use crate::pair::Exposure;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Battery power that shows as "Low".
 const BATTERY_LOW: u32 = 0;
@@ -186,9 +186,14 @@ impl Body {
         self.properties.number(prop::TARGET) == Some(TARGET_COMPUTER)
     }
 
-    /// What the three dials show.
+    /// What the next frame is exposed with.
     pub(super) fn exposure(&self) -> Option<Exposure> {
         self.properties.exposure()
+    }
+
+    /// How long after the release the shutter opens.
+    pub(super) fn delay(&self) -> Duration {
+        self.properties.delay()
     }
 
     /// The files that a frame becomes, in the order in which they are announced.

@@ -34,6 +34,17 @@ pub(super) struct Device {
     plug: Mutex<Option<Plug>>,
 }
 
+/// A frame that is to be exposed.
+pub(super) struct Frame {
+    pub(super) exposure: Exposure,
+    /// The files that it becomes.
+    pub(super) kinds: Vec<Kind>,
+    /// How long the shutter waits.
+    pub(super) delay: Duration,
+    /// What becomes of it.
+    pub(super) fault: Option<Fault>,
+}
+
 fn poisoned<T>(_: PoisonError<T>) -> io::Error {
     io::Error::other("a thread of the simulated camera panicked; start the studio again")
 }
@@ -115,20 +126,16 @@ impl Device {
         }
     }
 
-    /// Exposes one frame on the shutter's thread, into these files; `fault` is what becomes of it.
-    pub(super) fn expose(
-        self: &Arc<Self>,
-        exposure: Exposure,
-        kinds: Vec<Kind>,
-        fault: Option<Fault>,
-    ) -> io::Result<()> {
+    /// Exposes one frame on the shutter's thread.
+    pub(super) fn expose(self: &Arc<Self>, frame: Frame) -> io::Result<()> {
         let device = Arc::clone(self);
         self.spawn("shutter", move || {
+            device.pause(frame.delay);
             // A view that panics must not leave the body busy for ever; it just has no frame.
-            let files = catch_unwind(AssertUnwindSafe(|| device.files(&exposure, &kinds)));
+            let files = catch_unwind(AssertUnwindSafe(|| device.files(&frame)));
             if let Ok(mut body) = device.body() {
                 match files {
-                    Ok(files) => body.end_exposure(files, fault),
+                    Ok(files) => body.end_exposure(files, frame.fault),
                     Err(_) => body.finish_exposure(),
                 }
             }
@@ -136,17 +143,17 @@ impl Device {
     }
 
     /// The files of one frame, exposed now.
-    fn files(&self, exposure: &Exposure, kinds: &[Kind]) -> Vec<(Kind, Arc<[u8]>)> {
+    fn files(&self, frame: &Frame) -> Vec<(Kind, Arc<[u8]>)> {
         if self.real_shutter {
-            self.pause(Duration::from_secs_f64(exposure.shutter.0.max(0.0)));
+            self.pause(Duration::from_secs_f64(frame.exposure.shutter.0.max(0.0)));
         }
         // The sensor is read out whatever becomes of it.
-        let raw: Arc<[u8]> = self.view.expose(exposure).into();
+        let raw: Arc<[u8]> = self.view.expose(&frame.exposure).into();
         let file = |kind: &Kind| match kind {
             Kind::Raw => (Kind::Raw, Arc::clone(&raw)),
-            Kind::Jpeg => (Kind::Jpeg, self.view.jpeg(exposure).into()),
+            Kind::Jpeg => (Kind::Jpeg, self.view.jpeg(&frame.exposure).into()),
         };
-        kinds.iter().map(file).collect()
+        frame.kinds.iter().map(file).collect()
     }
 
     pub(super) fn spawn(&self, name: &str, work: impl FnOnce() + Send + 'static) -> io::Result<()> {

@@ -168,7 +168,7 @@ impl CameraServer {
         self.device.faults().releases
     }
 
-    /// Frames in the body's memory that nobody has taken, announced or not.
+    /// Files in the body's memory that nobody has taken, announced or not; a frame with RAW and JPEG is two.
     pub fn frames_waiting(&self) -> usize {
         self.device.body().map_or(0, |body| body.waiting())
     }

@@ -2,7 +2,7 @@
 
 use super::body::Body;
 use super::datasets::{self, op};
-use super::device::Device;
+use super::device::{Device, Frame};
 use super::dials;
 use super::fault::Fault;
 use super::objects::Objects;
@@ -182,8 +182,8 @@ fn release(device: &Arc<Device>) -> io::Result<u16> {
         exposure.shutter = dials::one_stop_off(exposure.shutter);
     }
     body.begin_exposure();
-    let kinds = body.kinds();
+    let frame = Frame { exposure, kinds: body.kinds(), delay: body.delay(), fault };
     drop(body);
-    device.expose(exposure, kinds, fault)?;
+    device.expose(frame)?;
     Ok(code::OK)
 }

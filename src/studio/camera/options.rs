@@ -27,7 +27,7 @@ pub enum Focus {
 pub enum Drive {
     /// One frame.
     Single,
-    /// Frame after frame while it is held.
+    /// Frame after frame while it is held; a computer's press is so short that one is exposed.
     Continuous,
     /// One frame after ten seconds.
     Timer,

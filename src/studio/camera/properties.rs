@@ -5,7 +5,9 @@ use super::dials;
 use super::options::{BodyOptions, Drive, Files, Focus, Mode};
 use super::request::Words;
 use crate::pair::Exposure;
+use crate::units::Iso;
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 /// Property codes (Canon's, as in libgphoto2's ptp.h).
 pub(super) mod prop {
@@ -44,6 +46,14 @@ pub(super) mod prop {
 pub(super) const TARGET_CARD: u32 = 1;
 /// Frames wait in memory for the computer.
 pub(super) const TARGET_COMPUTER: u32 = 4;
+/// Sensitivity that the body chooses for each frame.
+const ISO_AUTO: u32 = 0;
+/// What it then chooses.
+const ISO_CHOSEN: Iso = Iso(400.0);
+/// Drive mode with ten seconds before the shutter.
+const TIMER: u32 = 0x10;
+/// Drive mode with two seconds before the shutter.
+const SHORT_TIMER: u32 = 0x11;
 /// Frames that the body's memory takes.
 const SHOTS_LEFT: u32 = 99;
 
@@ -104,11 +114,11 @@ impl Properties {
         let drive = match options.drive {
             Drive::Single => 0,
             Drive::Continuous => 4,
-            Drive::Timer => 0x10,
+            Drive::Timer => TIMER,
         };
         let mut properties = Self(BTreeMap::from([
-            (prop::ISO, Value::Number(0x48, [0].into_iter().chain(codes(dials::ISO)).collect())),
-            (prop::DRIVE, Value::Number(drive, vec![0, 4, 0x10, 0x11])),
+            (prop::ISO, Value::Number(0x48, [ISO_AUTO].into_iter().chain(codes(dials::ISO)).collect())),
+            (prop::DRIVE, Value::Number(drive, vec![0, 4, TIMER, SHORT_TIMER])),
             (prop::METERING, Value::Number(3, vec![1, 3, 4, 5])),
             (prop::WHITE_BALANCE, Value::Number(options.white_balance, vec![0, 1, 8, 2, 3, 4, 5, 6, 9])),
             (prop::COLOR_TEMPERATURE, Value::Number(5200, (25..=100).map(|k| k * 100).collect())),
@@ -215,13 +225,25 @@ impl Properties {
         }
     }
 
-    /// What the three dials show; nothing while the sensitivity is automatic.
+    /// What the three dials show, and the body's own choice where the sensitivity is automatic.
     pub(super) fn exposure(&self) -> Option<Exposure> {
         Some(Exposure {
             shutter: dials::shutter(self.number(prop::SHUTTER)?)?,
             aperture: dials::aperture(self.number(prop::APERTURE)?)?,
-            iso: dials::iso(self.number(prop::ISO)?)?,
+            iso: match self.number(prop::ISO)? {
+                ISO_AUTO => ISO_CHOSEN,
+                code => dials::iso(code)?,
+            },
         })
+    }
+
+    /// How long after the release the shutter opens.
+    pub(super) fn delay(&self) -> Duration {
+        match self.number(prop::DRIVE) {
+            Some(TIMER) => Duration::from_secs(10),
+            Some(SHORT_TIMER) => Duration::from_secs(2),
+            _ => Duration::ZERO,
+        }
     }
 
     /// The record of a property's value, and that of its list. A property that the body overlays with what it shows
@@ -266,7 +288,7 @@ pub(super) fn parse_set(sent: &[u8]) -> Option<(u32, &[u8])> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::units::{FNumber, Iso, Seconds};
+    use crate::units::{FNumber, Seconds};
 
     #[test]
     fn a_new_body_stands_at_a_125th_f_11_iso_100() {
@@ -288,6 +310,16 @@ mod tests {
         assert_eq!(set(prop::SHUTTER, 0x68), Ok(vec![prop::SHUTTER]));
         assert_eq!(properties.set(prop::ISO, &[0; 9]), Err(SetError::Value));
         assert_eq!(properties.exposure().unwrap().shutter, Seconds(1.0 / 60.0));
+    }
+
+    #[test]
+    fn an_automatic_sensitivity_is_the_bodys_choice_and_a_timer_delays() {
+        let mut properties = Properties::new(&BodyOptions::default());
+        assert_eq!(properties.delay(), Duration::ZERO);
+        properties.set(prop::ISO, &ISO_AUTO.to_le_bytes()).unwrap();
+        properties.set(prop::DRIVE, &SHORT_TIMER.to_le_bytes()).unwrap();
+        assert_eq!(properties.exposure().unwrap().iso, ISO_CHOSEN);
+        assert_eq!(properties.delay(), Duration::from_secs(2));
     }
 
     #[test]
