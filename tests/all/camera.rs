@@ -153,13 +153,13 @@ fn a_live_picture_comes_and_the_next_shot_is_unharmed() {
 #[test]
 fn a_stalled_camera_misses_its_deadline_and_works_again_once_mended() {
     let studio = Studio::new();
-    let mut camera = studio.camera_with(Deadlines { shot: Duration::from_secs(1), ..Deadlines::default() });
+    let mut camera = studio.camera_with(Deadlines { shot: Duration::from_secs(2), ..Deadlines::default() });
     camera.settings().unwrap();
     studio.server.fault(Fault::Stall);
     let began = Instant::now();
     let error = camera.shoot().unwrap_err();
     assert!(matches!(error, CameraError::Deadline { .. }), "{error}");
-    assert!(began.elapsed() < Duration::from_secs(2), "took {:?}", began.elapsed());
+    assert!(began.elapsed() < Duration::from_secs(4), "took {:?}", began.elapsed());
     assert_eq!(studio.frames(), 0);
     studio.server.mend();
     assert!(camera.shoot().unwrap().raw.bytes == blob(0));

@@ -28,10 +28,10 @@ const CUT: &[&str] = &["camera_lost", "camera_refused", "camera_frame_incomplete
 const HOLLOW: Fault = Fault::HollowObject { missing: 4096 };
 
 const ROWS: &[Row] = &[
-    row("release answered \"busy\" once", Fault::BusyOnce, &[], 2),
+    row("release answered \"busy\" once", Fault::BusyOnce, &[], 3),
     row("release answered \"busy\" four times", Fault::BusyFor(4), &[], 4),
     row("lens hunts for a second and finds no focus", Fault::FocusHunt(Duration::from_secs(1)), &[], 4),
-    row("release refused, lens finds no focus", Fault::NoFocus, &["camera_no_focus", "camera_refused"], 2),
+    row("release refused, lens finds no focus", Fault::NoFocus, &["camera_no_focus", "camera_refused"], 3),
     row("frame exposed, never announced", Fault::NeverAnnounced, &["camera_deadline"], 18),
     row("frame announced to the next host", Fault::LateObject(Late::NextClient), &["camera_deadline"], 18),
     row(
@@ -46,17 +46,13 @@ const ROWS: &[Row] = &[
         &["camera_deadline", "camera_frame_untrusted"],
         22,
     ),
-    row("frame announced twice", Fault::DoubledObject, &[], 2),
-    row(
-        "frame shorter than announced",
-        Fault::CutObject { missing: 4096 },
-        &["camera_deadline", "camera_lost"],
-        18,
-    ),
-    row("download cut short, frame still in the camera", Fault::CutDownload { missing: 4096 }, &[], 2),
-    row("link lost in the download", Fault::DropInDownload, &["camera_lost"], 6),
-    row("one operation never answered", Fault::StallOnce, &["camera_deadline"], 14),
-    row("frame of the release before once more", Fault::RepeatedFrame, &["camera_frame_untrusted"], 2),
+    row("frame announced twice", Fault::DoubledObject, &[], 3),
+    row("frame shorter than announced", Fault::CutObject { missing: 4096 }, CUT, 10),
+    row("frame shorter than announced, library asks for the rest for ever", HOLLOW, &["camera_deadline"], 18),
+    row("download cut short", Fault::CutDownload { missing: 4096 }, CUT, 10),
+    row("link lost in the download", Fault::DropInDownload, &["camera_lost"], 10),
+    row("one operation never answered", Fault::StallOnce, &[], 8),
+    row("frame of the release before once more", Fault::RepeatedFrame, &["camera_frame_untrusted"], 3),
     row("body busy for 1.5 s after the frame", Fault::SlowReady(Duration::from_millis(1500)), &[], 4),
 ];
 
@@ -89,7 +85,6 @@ fn prove(row: &Row) -> Duration {
     let (shot, codes) = shoot_through(&mut camera);
     let took = began.elapsed();
     eprintln!("{}: {codes:?}, usable after {took:.1?}", row.what);
-    assert_eq!(studio.server.struck(), [row.fault].repeat(studio.server.struck().len()), "{}", row.what);
     assert!(!studio.server.struck().is_empty(), "{} never struck", row.what);
     assert!(codes.iter().all(|code| row.codes.contains(code)), "{}: {codes:?}", row.what);
     assert_eq!(codes.is_empty(), row.codes.is_empty(), "{}: {codes:?}", row.what);

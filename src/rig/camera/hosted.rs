@@ -210,6 +210,9 @@ impl HostedCamera {
         match trouble {
             Trouble::Busy => CameraError::Busy(reason),
             Trouble::Claimed => CameraError::Claimed { port: self.port.clone() },
+            Trouble::NotFound if self.info.is_some() && self.on_usb() => {
+                CameraError::Unplugged { port: self.port.clone() }
+            }
             Trouble::NotFound => CameraError::NotFound { hint: format!(" on {} ({reason})", self.port) },
             Trouble::Silent => CameraError::Deadline { operation, deadline: took },
             Trouble::Lost => CameraError::Lost { operation, reason },

@@ -1,12 +1,13 @@
 use super::*;
 use std::collections::BTreeMap;
-use std::convert::Infallible;
 
 /// A camera's settings, as libgphoto2 lists them for bodies of three makers.
 struct Camera {
     settings: BTreeMap<&'static str, Reading>,
     /// Settings whose writes are answered "fine" and not carried out.
     deaf: Vec<&'static str>,
+    /// Settings whose writes are refused.
+    refusing: Vec<&'static str>,
     written: Vec<(String, String)>,
 }
 
@@ -19,7 +20,7 @@ impl Camera {
             readonly: choices.is_empty(),
         };
         let settings = lines.iter().map(|(name, value, choices)| (*name, reading(value, choices))).collect();
-        Self { settings, deaf: Vec::new(), written: Vec::new() }
+        Self { settings, deaf: Vec::new(), refusing: Vec::new(), written: Vec::new() }
     }
 
     fn with(mut self, name: &'static str, value: &str) -> Self {
@@ -29,14 +30,17 @@ impl Camera {
 }
 
 impl Config for Camera {
-    type Error = Infallible;
+    type Error = &'static str;
 
-    fn read(&mut self, name: &str) -> Result<Option<Reading>, Infallible> {
+    fn read(&mut self, name: &str) -> Result<Option<Reading>, &'static str> {
         Ok(self.settings.get(name).cloned())
     }
 
-    fn write(&mut self, name: &str, value: &str) -> Result<(), Infallible> {
+    fn write(&mut self, name: &str, value: &str) -> Result<(), &'static str> {
         self.written.push((name.to_owned(), value.to_owned()));
+        if self.refusing.contains(&name) {
+            return Err("not set");
+        }
         if !self.deaf.contains(&name) {
             self.settings.get_mut(name).unwrap().value = value.to_owned();
         }
@@ -94,8 +98,7 @@ fn sony() -> Camera {
 }
 
 fn report(camera: &mut Camera, maker: &str, model: &str) -> LockReport {
-    let Ok(report) = go_through(camera, maker, model);
-    report
+    go_through(camera, maker, model).unwrap()
 }
 
 #[track_caller]
@@ -155,6 +158,11 @@ fn a_camera_that_does_not_obey_is_found_out_by_reading_back() {
     let (state, sentence) = item(&report(&mut camera, "Canon", "Canon EOS 5DS"), "drive");
     assert_eq!(state, LockState::Wrong);
     assert!(sentence.contains("does not take"), "{sentence}");
+    let mut camera = canon().with("autoexposuremode", "AV");
+    camera.settings.get_mut("autoexposuremode").unwrap().readonly = false;
+    camera.refusing.push("autoexposuremode");
+    camera.settings.get_mut("autoexposuremode").unwrap().choices = vec!["AV".into(), "Manual".into()];
+    assert_eq!(item(&report(&mut camera, "Canon", "Canon EOS 5DS"), "mode").0, LockState::Wrong);
 }
 
 #[test]
