@@ -256,13 +256,15 @@ fn blocks(frames: &[Frame; 2], scale: f32, top: usize, region: Region) -> Vec<Bl
     let black = off.black.concat().into_iter().map(f64::from).sum::<f64>() / 4.0;
     let touches = |from: usize, start: usize, size: usize| from < start + size && start < from + BLOCK;
     let rows_inside = touches(top, region.y, region.height);
+    // What no light at all leaves in the difference, by row parity, repeated over the lanes.
+    let dark: [[f32; BLOCK]; 2] =
+        [0, 1].map(|row| std::array::from_fn(|i| on.black[row][i & 1] - scale * off.black[row][i & 1]));
     (0..off.width / BLOCK)
         .map(|bx| {
             let x = bx * BLOCK;
             let (mut sum, mut squares, mut ambient) = ([0f32; BLOCK], [0f32; BLOCK], [0f32; BLOCK]);
             for y in top..top + BLOCK {
-                let (black_off, black_on) = (off.black[y & 1], on.black[y & 1]);
-                let black: [f32; 2] = [0, 1].map(|i| black_on[i] - scale * black_off[i]);
+                let dark = &dark[y & 1];
                 let start = y * off.width + x;
                 let (Some(unlit), Some(lit)) =
                     (off.dn[start..].first_chunk::<BLOCK>(), on.dn[start..].first_chunk::<BLOCK>())
@@ -271,7 +273,7 @@ fn blocks(frames: &[Frame; 2], scale: f32, top: usize, region: Region) -> Vec<Bl
                 };
                 for i in 0..BLOCK {
                     let unlit = f32::from(unlit[i]);
-                    let rise = f32::from(lit[i]) - scale * unlit - black[i & 1];
+                    let rise = f32::from(lit[i]) - scale * unlit - dark[i];
                     sum[i] += rise;
                     squares[i] += rise * rise;
                     ambient[i] += unlit;

@@ -320,6 +320,11 @@ fn a_session_measures_where_its_sensor_clips_and_judges_by_it() {
         assert_eq!(out.status.code(), Some(1), "{unfit}: {}", text(&out.stdout));
         assert!(text(&out.stderr).contains(words), "{}", text(&out.stderr));
     }
+    // The nearest card is blown in green alone: red is refused.
+    let out = unlit(&["calibrate", "saturation", &session, &blown], home.path());
+    assert!(text(&out.stderr).contains("the red sites are not blown"), "{}", text(&out.stderr));
+    let blown = home.path().join("blown.dng").display().to_string();
+    std::fs::write(&blown, two_stops_brighter(&birdbath("calibration/white/d0500_1.dng"))).unwrap();
     let out = unlit(&["calibrate", "saturation", &session, &blown], home.path());
     assert!(out.status.success(), "{}{}", text(&out.stdout), text(&out.stderr));
     let table = pipeline_saturation(&session);
@@ -336,6 +341,19 @@ fn a_session_measures_where_its_sensor_clips_and_judges_by_it() {
         "{}",
         text(&told.stdout)
     );
+}
+
+/// The same frame with four times the light: 600 x 400 values of 16 bits end the file, black is 2048, and the
+/// sensor clips at 15380.
+fn two_stops_brighter(file: &Path) -> Vec<u8> {
+    let mut bytes = std::fs::read(file).unwrap();
+    let from = bytes.len() - 600 * 400 * 2;
+    for value in bytes[from..].chunks_exact_mut(2) {
+        let dn = u32::from(u16::from_le_bytes([value[0], value[1]]));
+        let brighter = (2048 + 4 * dn.saturating_sub(2048)).min(15_380) as u16;
+        value.copy_from_slice(&brighter.to_le_bytes());
+    }
+    bytes
 }
 
 fn pipeline_saturation(session: &str) -> unlit::photometry::saturation::SaturationTable {
