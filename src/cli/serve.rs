@@ -4,7 +4,8 @@ use super::devices::DeviceArgs;
 use super::{CliError, CliResult, Exit, works};
 use crate::capture::{Desk, Engine, Events};
 use crate::http::{self, StudioControl};
-use crate::pair::Limits;
+use crate::pipeline::pairs;
+use crate::rig::usb;
 use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -26,16 +27,23 @@ pub(super) struct Args {
     /// Folder of the sessions; made if need be.
     #[arg(long, value_name = "DIR", default_value = "sessions")]
     sessions: PathBuf,
+    /// JSON file with limits of the checks; what it does not name keeps its default.
+    #[arg(long, value_name = "FILE")]
+    limits: Option<PathBuf>,
 }
 
 pub(super) fn run(args: Args) -> CliResult {
     let address = http::loopback_only(args.listen).map_err(CliError::new)?;
+    let limits = pairs::read_limits(args.limits.as_deref()).map_err(CliError::new)?;
     let (source, studio) = args.devices.prepare()?;
     let events = Events::default();
-    let engine = Arc::new(Engine::new(source, Limits::default(), events.clone()));
+    let engine = Arc::new(Engine::new(source, limits, events.clone()));
     let after_pair = studio.as_ref().map(|studio| studio.operator(events.clone()));
     let desk = Desk::open(engine, events, &args.sessions, works::works().map_err(CliError::new)?, after_pair)
         .map_err(CliError::new)?;
+    // A camera that is plugged in or out shows on the page without anybody asking.
+    let looking = desk.clone();
+    let _watch = usb::watch(move |_| drop(looking.look())).map_err(CliError::new)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(CliError::new)?;
     runtime.block_on(answer(address, desk.clone(), studio.map(|s| s as Arc<dyn StudioControl>)))?;
     if !desk.close(LAST_PATIENCE) {

@@ -2,8 +2,9 @@
 
 use super::devices::DeviceArgs;
 use super::{CliError, CliResult, Exit, progress_bar};
-use crate::capture::{Engine, Events, Topic, words_on};
-use crate::pair::{Limits, Verdict};
+use crate::capture::{Engine, Events, ExposureWish, Topic, words_on};
+use crate::pair::Verdict;
+use crate::pipeline::pairs;
 use crate::session::Session;
 use indicatif::ProgressBar;
 use std::path::{Path, PathBuf};
@@ -18,19 +19,36 @@ pub(super) struct Args {
     /// How many pairs to take.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pairs: u32,
+    /// Finds the exposure by test shots first, and makes it the session's.
+    #[arg(long)]
+    find_exposure: bool,
+    /// JSON file with limits of the checks; what it does not name keeps its default.
+    #[arg(long, value_name = "FILE")]
+    limits: Option<PathBuf>,
 }
 
 pub(super) fn run(args: Args) -> CliResult {
+    let limits = pairs::read_limits(args.limits.as_deref()).map_err(CliError::new)?;
     let session = open_or_make(&args.session)?;
     let (source, studio) = args.devices.prepare()?;
     let events = Events::default();
-    let engine = Arc::new(Engine::new(source, Limits::default(), events.clone()));
+    let engine = Arc::new(Engine::new(source, limits, events.clone()));
     let (bar, progress) = progress_bar::watched();
     if args.devices.flash_is_manual() {
         answer_prompts(engine.clone(), &events, bar.clone())?;
     }
     if let Some(studio) = &studio {
         studio.go_to_pair(session.next_pair_number().map_err(CliError::new)?);
+    }
+    tell_of_recovery(&events, bar.clone())?;
+    if args.find_exposure {
+        let found = engine.find_exposure(&session, ExposureWish::default(), &progress).map_err(|error| {
+            bar.finish_and_clear();
+            CliError::new(error)
+        })?;
+        let share = 100.0 * found.predicted_share;
+        bar.suspend(|| println!("Exposure: {}; brightest channel at {share:.0} %.", found.plan.words()));
+        found.warnings.iter().for_each(|warning| bar.suspend(|| println!("{warning}")));
     }
     let operator = studio.as_ref().map(|studio| studio.operator(events.clone()));
     let mut rejected = false;
@@ -54,6 +72,20 @@ fn open_or_make(path: &Path) -> Result<Session, CliError> {
     let absolute = std::path::absolute(path).map_err(CliError::new)?;
     let name = absolute.file_name().map(|n| n.to_string_lossy().into_owned());
     Session::create(path, name.as_deref().unwrap_or("session")).map_err(CliError::new)
+}
+
+/// Shows that a device failed and is brought back.
+fn tell_of_recovery(events: &Events, bar: ProgressBar) -> Result<(), CliError> {
+    let (_, mut heard) = events.listen();
+    let telling = move || {
+        while let Ok(event) = heard.blocking_recv() {
+            if event.topic == Topic::Recovery {
+                bar.suspend(|| println!("{}", event.words));
+            }
+        }
+    };
+    std::thread::Builder::new().name("recovery".into()).spawn(telling).map_err(CliError::new)?;
+    Ok(())
 }
 
 /// Shows what the engine asks for and confirms with the return key.

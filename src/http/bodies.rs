@@ -259,7 +259,7 @@ pub(super) struct JobBody {
     id: u64,
     /// Where to ask for it.
     url: String,
-    /// `pair`, `flash_shots`, `calibrate_flash`, `import_scene` or `process`.
+    /// `pair`, `find_exposure`, `flash_shots`, `calibrate_flash`, `import_scene` or `process`.
     #[schema(example = "pair")]
     kind: &'static str,
     /// The session it is about.

@@ -389,7 +389,8 @@ fn events_begin_with_the_state_and_tell_a_pair_from_job_to_verdict() {
     assert_eq!((&state["session"], &state["studio"]), (&"vase".into(), &Value::Null));
     house.post_nothing("/api/v1/pairs");
     let (queued, _) = hear(&mut lines, "job");
-    assert_eq!(queued["data"]["state"], "queued");
+    assert_eq!((&queued["data"]["state"], &queued["data"]["session"]), (&"queued".into(), &"vase".into()));
+    assert!(queued["data"]["url"].as_str().unwrap().starts_with("/api/v1/jobs/"), "{queued}");
     let (pair, _) = hear(&mut lines, "pair");
     assert_eq!(pair["data"]["verdict"], "accepted");
     assert_eq!(pair["words"], "Pair 1 is good.");

@@ -305,7 +305,7 @@ test("with one camera there is no choice of cameras", async () => {
 
 test("a device that is brought back is told calmly and forgotten when the pair ends (events made up)", async () => {
   const words = "The camera did not answer within 12 s; it is started again.";
-  const job = { id: 9, kind: "pair", subject: "camera", stage: "Bringing the devices back", done: 1, total: 6 };
+  const job = { id: 9, kind: "pair", session: "camera", stage: "Bringing the devices back", done: 1, total: 6 };
   const happened = (topic, data, said = "") => `event: ${topic}\ndata: ${JSON.stringify({ words: said, data })}\n\n`;
   const { version, devices } = await new Promise((resolve, reject) => {
     // The first event of the real stream is the state of this very house.

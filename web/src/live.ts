@@ -27,9 +27,6 @@ const RIG = ["pair", "flash_shots", "find_exposure"];
 
 const isActive = (job: Job) => job.state === "running" || job.state === "queued";
 
-/** Jobs come over the events with their session under another name. */
-type ToldJob = Job & { subject?: string };
-
 interface Told<T> {
   words: string;
   data: T;
@@ -105,8 +102,7 @@ export function useLive(): Live {
       if (told.data.session === current.current) void load(told.data.session);
     });
     on<Told<null>>("trouble", (told) => trouble(told.words));
-    on<Told<ToldJob>>("job", ({ data }) => {
-      const job: Job = { ...data, session: data.session ?? data.subject ?? "" };
+    on<Told<Job>>("job", ({ data: job }) => {
       setState(
         (before) => before && { ...before, jobs: [job, ...before.jobs.filter((j) => j.id !== job.id)] },
       );

@@ -1,13 +1,13 @@
 //! What happens, as it happens: server-sent events. A `state` snapshot comes first, and again whenever the
 //! listener was too slow to hear everything.
 
-use crate::capture::Event;
+use crate::capture::{Event, Topic};
 use crate::http::App;
 use crate::http::bodies::StateBody;
 use crate::http::problem::Problem;
 use axum::extract::State;
 use axum::response::sse::{self, KeepAlive, KeepAliveStream, Sse};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::convert::Infallible;
 use std::time::Duration;
 use tokio::sync::broadcast::error::RecvError;
@@ -19,7 +19,7 @@ const AHEAD: usize = 16;
 
 /// Events as they happen. The first is `state` with everything that a page needs to begin with; the others
 /// carry `words` for people and `data` for machines. Topics: `devices`, `session`, `prompt`, `prompt_done`,
-/// `pair`, `calibration_shot`, `trouble`, `job`, `studio`. Ids count up without gaps.
+/// `pair`, `calibration_shot`, `recovery`, `trouble`, `job`, `studio`. Ids count up without gaps.
 #[utoipa::path(get, path = "/api/v1/events", tag = "events",
     responses((status = 200, body = StateBody, content_type = "text/event-stream")))]
 pub(super) async fn listen(
@@ -73,5 +73,20 @@ fn message(event: &Event) -> Result<sse::Event, axum::Error> {
     sse::Event::default()
         .event(event.topic.name())
         .id(event.id.to_string())
-        .json_data(json!({ "words": event.words, "data": event.data }))
+        .json_data(json!({ "words": event.words, "data": told(event) }))
+}
+
+/// The data as the routes show the same thing.
+fn told(event: &Event) -> Value {
+    let mut data = event.data.clone();
+    if event.topic == Topic::Job
+        && let Some(job) = data.as_object_mut()
+    {
+        if let Some(session) = job.remove("subject") {
+            job.insert("session".into(), session);
+        }
+        let url = job.get("id").map(|id| format!("/api/v1/jobs/{id}"));
+        job.insert("url".into(), json!(url));
+    }
+    data
 }

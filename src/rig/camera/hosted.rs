@@ -362,6 +362,17 @@ impl Camera for HostedCamera {
         }
     }
 
+    fn end_preview(&mut self) -> Result<(), CameraError> {
+        // A camera that nobody has open shows nothing.
+        if !self.runs() {
+            return Ok(());
+        }
+        match self.ask("end live view", &Request::EndPreview, self.deadlines.other)? {
+            (Reply::Done, _) => Ok(()),
+            (other, _) => Err(out_of_turn(&other)),
+        }
+    }
+
     fn recover(&mut self) -> Result<Vec<String>, CameraError> {
         recover::bring_back(self)
     }

@@ -41,6 +41,8 @@ pub(super) enum Request {
     Lock,
     /// A live picture.
     Preview,
+    /// End live view.
+    EndPreview,
     /// Release the shutter once, fetch the files, wait until the camera is ready.
     Shoot {
         /// How long the camera may take beyond the exposure.
@@ -74,7 +76,7 @@ pub(super) enum Reply {
     Settings(Settings),
     /// To [`Request::Offered`].
     Offered(Offered),
-    /// To [`Request::Set`].
+    /// To [`Request::Set`] and [`Request::EndPreview`].
     Done,
     /// To [`Request::Lock`].
     Locked(LockReport),

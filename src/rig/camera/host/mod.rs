@@ -132,6 +132,10 @@ impl Host {
             }
             Request::Lock => (Reply::Locked(self.open()?.lock()?), Vec::new()),
             Request::Preview => (Reply::Preview, self.open()?.preview()?),
+            Request::EndPreview => {
+                self.open()?.end_live()?;
+                (Reply::Done, Vec::new())
+            }
             Request::Shoot { patience } => {
                 let body = self.open()?;
                 let exposure = body.get_ready()?;
