@@ -37,7 +37,7 @@ const ROWS: &[Row] = &[
     row(
         "frame announced seconds after its shot was given up",
         Fault::LateObject(Late::After(Duration::from_secs(12))),
-        &["camera_deadline"],
+        &["camera_deadline", "camera_frame_untrusted"],
         20,
     ),
     row(
