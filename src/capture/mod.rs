@@ -17,6 +17,7 @@ mod machine;
 mod place;
 mod prompt;
 mod run;
+mod taken;
 mod thumbnail;
 
 pub use bench::{DeviceState, Devices, FlashKind, ListCameras, OpenCamera, OpenFlash, RigSource};

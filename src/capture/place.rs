@@ -5,7 +5,9 @@ use crate::photometry::saturation::SaturationTable;
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::stops::{Delivery, Earlier};
 use crate::rig::Shot;
-use crate::session::{self, Commit, NewFrame, NewPair, Session, SessionError, store};
+use crate::session::{
+    self, Commit, NewFrame, NewPair, Prepared, Session, SessionError, Staged, Stager, store,
+};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -15,6 +17,9 @@ use std::sync::Arc;
 pub(super) struct Delivered<'a> {
     pub(super) shot: &'a Shot,
     pub(super) settings: Settings,
+    pub(super) blake3: String,
+    /// The raw on the disk, where it was written ahead.
+    pub(super) staged: Option<&'a Staged>,
 }
 
 impl<'a> Delivered<'a> {
@@ -23,6 +28,7 @@ impl<'a> Delivered<'a> {
             bytes: &self.shot.raw.bytes,
             original_name: &self.shot.raw.name,
             settings: self.settings.clone(),
+            prepared: Some(Prepared { blake3: self.blake3.clone(), staged: self.staged }),
             jpeg: self.shot.jpeg.as_ref().map(|jpeg| (jpeg.bytes.as_slice(), jpeg.name.as_str())),
         }
     }
@@ -70,6 +76,8 @@ pub(super) trait Place {
     fn adopt(&mut self, plan: Plan) -> Result<(), PlaceError>;
     /// Where the object is in the frame; everywhere if `None`.
     fn region(&self) -> Option<Window>;
+    /// Writes raws to the disk ahead, where the place takes them so.
+    fn stager(&self) -> Option<Stager>;
     /// Saturation as it was measured for the session.
     fn saturation(&self) -> Arc<SaturationTable>;
     /// What is known beforehand of a pair whose files have the digests `off` and `on` and whose pulse measured
@@ -129,6 +137,10 @@ impl Place for PairPlace<'_> {
 
     fn region(&self) -> Option<Window> {
         self.session.manifest().region
+    }
+
+    fn stager(&self) -> Option<Stager> {
+        Some(self.session.stager())
     }
 
     fn saturation(&self) -> Arc<SaturationTable> {
@@ -306,6 +318,10 @@ impl Place for CardPlace<'_> {
     }
 
     fn region(&self) -> Option<Window> {
+        None
+    }
+
+    fn stager(&self) -> Option<Stager> {
         None
     }
 

@@ -6,26 +6,15 @@ use super::hands::{Hands, exposure_of};
 use super::machine::{Effect, End, Event, Frame, State, step};
 use super::place::{Delivered, Place, PlaceError, Shots};
 use super::prompt::Prompter;
-use crate::codec::raw::{Photo, RawError};
+use super::taken::{Decoded, Taken};
 use crate::pair::{FlashRecord, Limits, Plan, Reason, ReasonCode, Settings, Stop, Verdict};
-use crate::pipeline::{pairs, saturation};
+use crate::pipeline::pairs;
 use crate::progress::{Cancelled, Progress};
-use crate::rig::{FlashShot, Shot};
-use crate::session::store;
+use crate::rig::FlashShot;
 use std::collections::VecDeque;
-use std::sync::Arc;
-use std::thread::JoinHandle;
 
 /// Steps of a pair that progress counts.
 const STEPS: usize = 6;
-
-type Decoded = Result<Photo, RawError>;
-
-/// One frame on its way: the files, and the decoder at work on the raw, which gives its BLAKE3 too.
-struct Taken {
-    shot: Arc<Shot>,
-    decoding: Option<JoinHandle<(Decoded, String)>>,
-}
 
 /// One pair on its way.
 pub(super) struct Run<'a> {
@@ -38,6 +27,7 @@ pub(super) struct Run<'a> {
     off: Option<Taken>,
     on: Option<Taken>,
     settings: [Settings; 2],
+    digests: [String; 2],
     flash: Option<FlashRecord>,
     reasons: Vec<Reason>,
     stop: Option<Stop>,
@@ -61,6 +51,7 @@ impl<'a> Run<'a> {
             off: None,
             on: None,
             settings: Default::default(),
+            digests: Default::default(),
             flash: None,
             reasons: Vec::new(),
             stop: None,
@@ -127,8 +118,8 @@ impl<'a> Run<'a> {
                     Frame::On => self.report("Taking the frame with flash", 3),
                 }
                 self.turn_dials(frame)?;
-                let shot = Arc::new(self.hands.release()?);
-                *self.slot(frame) = Some(Taken { shot, decoding: None });
+                let shot = self.hands.release()?;
+                *self.slot(frame) = Some(Taken::new(shot));
                 Ok(Some(Event::FrameTaken))
             }
             Effect::BeginCheck(frame) => self.begin_check(frame).map(|()| None),
@@ -210,18 +201,10 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Decodes a frame on a thread of its own, while the next one is shot.
+    /// Has a frame checked and written to the disk while the next one is shot.
     fn begin_check(&mut self, frame: Frame) -> Result<(), CaptureError> {
-        let measured = self.place.saturation();
-        let Some(taken) = self.slot(frame) else { return Ok(()) };
-        let shot = taken.shot.clone();
-        let work = move || {
-            let photo = saturation::decode(&shot.raw.bytes, &shot.raw.name, &measured);
-            (photo, store::digest(&shot.raw.bytes))
-        };
-        let decoding = std::thread::Builder::new().name("frame check".into()).spawn(work);
-        taken.decoding = Some(decoding.map_err(CaptureError::NoThread)?);
-        Ok(())
+        let (measured, stager) = (self.place.saturation(), self.place.stager());
+        self.slot(frame).as_mut().map_or(Ok(()), |taken| taken.begin(measured, stager))
     }
 
     /// Asks the controller what it saw since the last count. It reports dark syncs too, so that silence
@@ -259,16 +242,8 @@ impl<'a> Run<'a> {
 
     /// The decoder's outcome for one frame, and the file's digest.
     fn decoded(&mut self, frame: Frame) -> Result<(Decoded, String), CaptureError> {
-        let taken = self.slot(frame).as_mut().ok_or(PlaceError::Incomplete)?;
-        let name = taken.shot.raw.name.clone();
-        let decoding = taken.decoding.take().ok_or(PlaceError::Incomplete)?;
-        // A decoder that stumbles over a file has found it unreadable.
-        Ok(decoding.join().unwrap_or_else(|_| {
-            (
-                Err(RawError::Decoder { what: name, message: "the decoder stumbled over it".into() }),
-                String::new(),
-            )
-        }))
+        let decoded = self.slot(frame).as_mut().and_then(Taken::decoded);
+        Ok(decoded.ok_or(PlaceError::Incomplete)?)
     }
 
     fn judge(&mut self) -> Result<Verdict, CaptureError> {
@@ -282,19 +257,32 @@ impl<'a> Run<'a> {
         let judgement = pairs::judge(&off, &on, &expected, self.limits);
         self.reasons.extend(judgement.reasons);
         self.stop = judgement.stop;
+        self.digests = [off_digest, on_digest];
         self.settings = [off, on].map(|photo| photo.map(|p| p.settings).unwrap_or_default());
         Ok(if self.reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected })
     }
 
     fn store(&mut self) -> Result<(), CaptureError> {
-        let (Some(off), Some(on)) = (self.off.take(), self.on.take()) else {
+        let (Some(mut off), Some(mut on)) = (self.off.take(), self.on.take()) else {
             // The machine stores only after both frames were taken.
             return Err(PlaceError::Incomplete.into());
         };
         let [off_settings, on_settings] = std::mem::take(&mut self.settings);
+        let [off_digest, on_digest] = std::mem::take(&mut self.digests);
+        let staged = (off.staged().map_err(PlaceError::from)?, on.staged().map_err(PlaceError::from)?);
         self.place.store(Shots {
-            off: Delivered { shot: &off.shot, settings: off_settings },
-            on: Delivered { shot: &on.shot, settings: on_settings },
+            off: Delivered {
+                shot: &off.shot,
+                settings: off_settings,
+                blake3: off_digest,
+                staged: staged.0.as_ref(),
+            },
+            on: Delivered {
+                shot: &on.shot,
+                settings: on_settings,
+                blake3: on_digest,
+                staged: staged.1.as_ref(),
+            },
             flash: self.flash.take(),
             reasons: std::mem::take(&mut self.reasons),
             stop: self.stop.take(),

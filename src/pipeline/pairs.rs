@@ -11,7 +11,7 @@ use crate::photometry::saturation::SaturationTable;
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::stops::{Delivery, Earlier, EarlierError};
 use crate::progress::{Cancelled, Progress};
-use crate::session::{Commit, NewFrame, NewPair, Session, SessionError, store};
+use crate::session::{Commit, NewFrame, NewPair, Prepared, Session, SessionError, store};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -165,12 +165,14 @@ fn import_pair(
             bytes: &off_bytes,
             original_name: &off_name,
             settings: settings(off_photo, &off_bytes),
+            prepared: Some(Prepared { blake3: off_digest.clone(), staged: None }),
             jpeg: None,
         },
         on: NewFrame {
             bytes: &on_bytes,
             original_name: &on_name,
             settings: settings(on_photo, &on_bytes),
+            prepared: Some(Prepared { blake3: on_digest.clone(), staged: None }),
             jpeg: None,
         },
         reasons,

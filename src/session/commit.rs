@@ -2,7 +2,7 @@
 
 use super::{Event, JOURNAL, PAIR_RECORD, Session, SessionError, journal, store, to_json};
 use crate::pair::{CompanionRecord, FlashRecord, FrameRecord, PairRecord, Reason, Settings, Verdict};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// One original file of a new pair.
 #[derive(Clone, Debug)]
@@ -13,8 +13,46 @@ pub struct NewFrame<'a> {
     pub original_name: &'a str,
     /// Settings out of its EXIF.
     pub settings: Settings,
+    /// What was done beforehand, while the next frame was being shot.
+    pub prepared: Option<Prepared<'a>>,
     /// The JPEG of the same release, where the camera writes RAW+JPEG: its bytes and its name.
     pub jpeg: Option<(&'a [u8], &'a str)>,
+}
+
+/// A new frame whose digest is known already, and which may lie on the disk already.
+#[derive(Clone, Debug)]
+pub struct Prepared<'a> {
+    /// BLAKE3 of the file, hexadecimal.
+    pub blake3: String,
+    /// Where it lies.
+    pub staged: Option<&'a Staged>,
+}
+
+/// Bytes that are safe on the disk under a temporary name, to be given their own name at the commit. Removed when
+/// this is dropped before that.
+#[derive(Debug)]
+pub struct Staged(PathBuf);
+
+impl Drop for Staged {
+    fn drop(&mut self) {
+        // Once committed it has another name; what a crash leaves is removed at the next opening.
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+/// Writes frames of a session to the disk ahead of their commit, from any thread.
+#[derive(Clone, Debug)]
+pub struct Stager {
+    folder: PathBuf,
+}
+
+impl Stager {
+    /// Writes the bytes; on the disk when this returns.
+    pub fn stage(&self, bytes: &[u8]) -> Result<Staged, SessionError> {
+        let staged = Staged(store::temporary_path(&self.folder));
+        store::write_synced(&staged.0, bytes).map_err(SessionError::io(&staged.0))?;
+        Ok(staged)
+    }
 }
 
 /// A pair to be stored.
@@ -41,12 +79,23 @@ pub enum Commit {
     AlreadyThere(PairRecord),
 }
 
+impl NewFrame<'_> {
+    fn digest(&self) -> String {
+        self.prepared.as_ref().map_or_else(|| store::digest(self.bytes), |prepared| prepared.blake3.clone())
+    }
+}
+
 impl Session {
+    /// Writes frames ahead of their commit.
+    pub fn stager(&self) -> Stager {
+        Stager { folder: self.pairs_dir() }
+    }
+
     /// Stores a pair; when this returns, it is on the disk. A name that is taken by the same two files
     /// changes nothing; taken by others, it is an error.
     pub fn commit_pair(&self, new: NewPair) -> Result<Commit, SessionError> {
         let mut numbering = self.numbering()?;
-        let (off_digest, on_digest) = (store::digest(new.off.bytes), store::digest(new.on.bytes));
+        let (off_digest, on_digest) = (new.off.digest(), new.on.digest());
         let number_free = |number: &u32| !numbering.names.contains_key(&format!("{number:04}"));
         let (number, name) = match new.name {
             Some(name) => (numbering.next, checked_name(name)?),
@@ -97,7 +146,15 @@ impl Session {
         let json = to_json(&self.pair_dir(record.number).join(PAIR_RECORD), record)?;
         let mut files = vec![(PAIR_RECORD, json.as_slice())];
         for (record, frame) in [&record.off, &record.on].into_iter().zip(frames) {
-            files.extend(frame_files(record, frame));
+            let own = frame_files(record, frame);
+            match frame.prepared.as_ref().and_then(|prepared| prepared.staged) {
+                Some(Staged(staged)) => {
+                    let file = aside.join(&record.file);
+                    std::fs::rename(staged, &file).map_err(SessionError::io(&file))?;
+                    files.extend(own.into_iter().skip(1));
+                }
+                None => files.extend(own),
+            }
         }
         for (name, bytes) in files {
             let file = aside.join(name);
@@ -132,10 +189,10 @@ pub fn original_file_name(role: &str, original_name: &str) -> String {
 
 /// The record of a frame that is about to be written.
 pub fn frame_record(role: &str, frame: &NewFrame) -> FrameRecord {
-    record_of(role, frame, store::digest(frame.bytes))
+    record_of(role, frame, frame.digest())
 }
 
-/// File names and contents of a frame: the raw, and the JPEG where there is one.
+/// File names and contents of a frame: the raw first, then the JPEG where there is one.
 pub fn frame_files<'a>(record: &'a FrameRecord, frame: &NewFrame<'a>) -> Vec<(&'a str, &'a [u8])> {
     let mut files = vec![(record.file.as_str(), frame.bytes)];
     if let (Some(jpeg), Some((bytes, _))) = (&record.jpeg, frame.jpeg) {

@@ -11,7 +11,9 @@ mod error;
 mod journal;
 pub mod store;
 
-pub use commit::{Commit, NewFrame, NewPair, frame_files, frame_record, original_file_name};
+pub use commit::{
+    Commit, NewFrame, NewPair, Prepared, Staged, Stager, frame_files, frame_record, original_file_name,
+};
 pub use error::SessionError;
 pub use journal::{Entry, Event, now as utc_now};
 

@@ -9,7 +9,7 @@ use unlit::pair::{Reason, ReasonCode, Settings, Verdict};
 use unlit::session::{Commit, Event, NewFrame, NewPair, Session, SessionError};
 
 fn frame<'a>(bytes: &'a [u8], original_name: &'a str) -> NewFrame<'a> {
-    NewFrame { bytes, original_name, settings: Settings::default(), jpeg: None }
+    NewFrame { bytes, original_name, settings: Settings::default(), prepared: None, jpeg: None }
 }
 
 fn pair<'a>(name: Option<&'a str>, off: &'a [u8], on: &'a [u8]) -> NewPair<'a> {
