@@ -63,6 +63,15 @@ impl Taken {
     }
 }
 
+impl Drop for Taken {
+    fn drop(&mut self) {
+        // What was written ahead for a pair that is given up must be gone when its end is told.
+        if let Some(staging) = self.staging.take() {
+            drop(staging.join());
+        }
+    }
+}
+
 fn spawn<T: Send + 'static>(
     name: &str,
     work: impl FnOnce() -> T + Send + 'static,

@@ -56,6 +56,82 @@ const ROWS: &[Row] = &[
     row("body busy for 1.5 s after the frame", Fault::SlowReady(Duration::from_millis(1500)), &[], 4),
 ];
 
+/// Faults that need another bench than a camera and its driver: what, what is seen, how long, and the test that proves it.
+const ELSEWHERE: &[[&str; 4]] = &[
+    [
+        "no room for frames, library asks for ever without a pause",
+        "`camera_deadline`",
+        "the loop is ended within the deadline + 2 s; once there is room, as opening anew",
+        "camera_faults::an_endless_loop_in_the_library_is_ended_at_the_deadline_and_the_camera_comes_back",
+    ],
+    [
+        "every operation stalls, USB",
+        "`camera_deadline` after 10 s",
+        "once it answers again: opening anew",
+        "camera_usb::a_stall_of_twenty_seconds_ends_at_our_deadline_and_the_camera_comes_back",
+    ],
+    [
+        "unplugged",
+        "`camera_lost`, then `camera_stuck` or `camera_unplugged`, with what to do",
+        "once it is plugged in: opening anew",
+        "camera_faults::an_unplugged_camera_asks_for_hands_in_words",
+    ],
+    [
+        "plugged in again under another address, beside another body of its model",
+        "nothing more",
+        "found by its serial number at the next try",
+        "camera_usb::a_camera_unplugged_and_plugged_in_again_is_found_at_its_new_address_by_its_serial_number",
+    ],
+    [
+        "plug pulled in a download",
+        "`camera_lost`",
+        "once it is plugged in: opening anew",
+        "camera_usb::a_plug_pulled_in_the_middle_of_a_download_costs_that_frame_alone",
+    ],
+    [
+        "camera host killed",
+        "nothing",
+        "opening anew",
+        "camera::a_killed_host_is_started_again_by_the_next_shot",
+    ],
+    [
+        "battery low",
+        "`camera_battery_low`",
+        "once it is charged",
+        "camera_faults::a_low_battery_is_told_by_its_name",
+    ],
+    [
+        "card full",
+        "`camera_card_full`",
+        "once there is room",
+        "camera_faults::a_full_card_is_told_by_its_name",
+    ],
+    [
+        "a set silently ignored",
+        "`camera_refused`",
+        "at once",
+        "camera_faults::a_dial_that_does_not_obey_is_an_error",
+    ],
+    [
+        "autofocus on",
+        "`camera_not_locked`: pairs are refused before the first release",
+        "once the switch stands at MF",
+        "real_rig::autofocus_refuses_pairs_until_the_switch_is_moved",
+    ],
+    [
+        "a frame shot at other settings than the dials show",
+        "pair rejected: `settings_changed`",
+        "the next pair",
+        "real_rig::a_frame_shot_at_other_settings_than_the_dials_show_is_caught_by_its_exif",
+    ],
+    [
+        "a file that the camera itself wrote short",
+        "pair rejected: `truncated`",
+        "the next pair",
+        "real_rig::a_file_that_the_camera_itself_wrote_short_is_stored_as_truncated",
+    ],
+];
+
 /// Shoots until a frame comes, as the capture engine does; gives it with the codes of the errors before.
 fn shoot_through(camera: &mut HostedCamera) -> (Shot, Vec<&'static str>) {
     let mut codes = Vec::new();
@@ -113,6 +189,11 @@ fn document() -> String {
         };
         writeln!(text, "| {what} | {seen} | {usable_within} s | 0 |").unwrap();
     }
+    text += "\nProved on other benches, each by the test named:\n\n| fault | what the operator sees | usable again | \
+             acknowledged frames lost | test |\n|---|---|---|---|---|\n";
+    for [what, seen, usable, test] in ELSEWHERE {
+        writeln!(text, "| {what} | {seen} | {usable} | 0 | `{test}` |").unwrap();
+    }
     text
 }
 
@@ -134,6 +215,12 @@ fn the_table_in_the_docs_is_the_one_that_is_proved() {
         std::fs::write(&file, &text).unwrap();
     }
     let found = std::fs::read_to_string(&file).unwrap_or_default();
+    for [.., test] in ELSEWHERE {
+        let (module, name) = test.split_once("::").unwrap();
+        let source = file.parent().unwrap().join(format!("../tests/all/{module}.rs"));
+        let source = std::fs::read_to_string(&source).unwrap();
+        assert!(source.contains(&format!("#[test]\nfn {name}()")), "there is no test {test}");
+    }
     assert!(found == text, "run UNLIT_UPDATE=1 cargo test --test all camera_faults::the_table");
 }
 

@@ -18,6 +18,7 @@ mod main_job;
 mod pairs;
 mod processes;
 mod raw;
+mod real_rig;
 mod samples;
 mod scene_import;
 mod session;

@@ -1,9 +1,37 @@
 //! A textured wall as a small camera sees it: real DNGs for tests that need many frames quickly.
 
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
 use unlit::codec::dng::{self, DngContent};
 use unlit::pair::{Exposure, Settings};
 use unlit::photometry::{Cfa, LevelSource, Levels, Mosaic};
 use unlit::raster::Image;
+use unlit::session::store;
+use unlit::studio::{Board, SyncContact, View};
+
+/// What the sensor gave, by the file's digest: the number of the exposure and whether the flash lit it.
+pub(crate) type Exposures = Arc<Mutex<HashMap<String, (u32, bool)>>>;
+
+/// The wall before a simulated camera whose sync contact goes to a simulated flash board.
+pub(crate) struct Wall {
+    pub(crate) flash: Arc<Board>,
+    pub(crate) taken: Exposures,
+}
+
+impl View for Wall {
+    fn expose(&self, exposure: &Exposure) -> Vec<u8> {
+        let lit = self.flash.close() > 0.0;
+        let mut taken = self.taken.lock().unwrap();
+        let number = taken.len() as u32;
+        let bytes = photo(if lit { 1.0 } else { 0.0 }, number, *exposure);
+        taken.insert(store::digest(&bytes), (number, lit));
+        bytes
+    }
+
+    fn preview(&self) -> Vec<u8> {
+        vec![0xff, 0xd8, 0xff, 0xd9]
+    }
+}
 
 pub(crate) fn settings(dials: Exposure) -> Settings {
     Settings {

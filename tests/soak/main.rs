@@ -13,48 +13,26 @@ mod wall;
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use unlit::capture::{CaptureError, Engine, Events, FlashKind, RigSource};
-use unlit::pair::{Dial, Exposure, Limits, Offered, PairRecord, Settings, Verdict};
+use unlit::pair::{Dial, Limits, Offered, PairRecord, Settings, Verdict};
 use unlit::progress::Progress;
 use unlit::rig::camera::{Deadlines, HostedCamera, Launch, Target};
 use unlit::rig::flash::SerialFlash;
 use unlit::rig::{Camera, CameraError, CameraInfo, LockReport, Shot};
-use unlit::session::{Session, store};
+use unlit::session::Session;
 use unlit::studio::camera::{CameraServer, Fault, Late};
-use unlit::studio::{Board, BoardOptions, SyncContact, View};
+use unlit::studio::{Board, BoardOptions};
+use wall::{Exposures, Wall};
 
 /// Operations of the driver from one fault to the next.
 const EVERY: u64 = 20;
 /// Pairs after which memory and processes are first counted.
 const SETTLED: u32 = 50;
-
-/// What the sensor gave, by the file's digest: the number of the exposure and whether the flash lit it.
-type Exposures = Arc<Mutex<HashMap<String, (u32, bool)>>>;
-
-struct Wall {
-    flash: Arc<Board>,
-    taken: Exposures,
-}
-
-impl View for Wall {
-    fn expose(&self, exposure: &Exposure) -> Vec<u8> {
-        let lit = self.flash.close() > 0.0;
-        let mut taken = self.taken.lock().unwrap();
-        let number = taken.len() as u32;
-        let bytes = wall::photo(if lit { 1.0 } else { 0.0 }, number, *exposure);
-        taken.insert(store::digest(&bytes), (number, lit));
-        bytes
-    }
-
-    fn preview(&self) -> Vec<u8> {
-        vec![0xff, 0xd8, 0xff, 0xd9]
-    }
-}
 
 /// The real driver, with a fault set at the body before every [`EVERY`]th call.
 struct Troubled {
