@@ -16,7 +16,8 @@ use std::str::FromStr;
 
 #[derive(Args)]
 pub(super) struct Inspect {
-    /// Raw file: CR2, NEF, ARW, DNG.
+    /// Raw file of a sensor with a 2x2 Bayer array: CR2, NEF, ARW, DNG, and by the second decoder CR3, RAF, ORF,
+    /// RW2.
     file: PathBuf,
     /// Region to measure, X,Y,W,H in pixels of the active area from its top left corner; all of it if absent.
     #[arg(long, value_name = "X,Y,W,H")]
