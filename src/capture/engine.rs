@@ -214,13 +214,9 @@ impl Engine {
         self.events.tell(Topic::Recovery, error.to_string(), json!({ "code": error.code() }));
         progress.report("Bringing the devices back", 0, 1);
         let steps = bench.recover()?;
-        let words = format!("The camera is back{}.", told(&steps));
+        let words = format!("The devices are back{}.", told(&steps));
         self.events.tell(Topic::Recovery, words, json!({ "steps": steps }));
         Ok(())
-    }
-
-    pub(super) fn tell(&self, topic: Topic, words: String, data: serde_json::Value) {
-        self.events.tell(topic, words, data);
     }
 
     pub(super) fn prompter(&self) -> &Prompter {

@@ -5,9 +5,7 @@
 
 use super::engine::{ATTEMPTS, Engine, worth_another_try};
 use super::error::CaptureError;
-use super::events::Topic;
 use super::hands::{Hands, exposure_of};
-use super::place::name_of;
 use crate::pair::finding::{Finding, Found, MOST_SHOTS, Next, Wish};
 use crate::pair::{Exposure, Settings};
 use crate::photometry::Mosaic;
@@ -59,22 +57,18 @@ impl Engine {
         let detail =
             json!({ "plan": found.plan, "predicted_share": found.predicted_share, "shots": found.shots });
         session.record(Event::Note { what: "exposure_found".into(), detail })?;
-        let name = name_of(session);
-        let words = format!(
-            "Exposure found: {}; the brightest channel ends at {:.0} % of saturation.",
-            found.plan.on,
-            100.0 * found.predicted_share
-        );
-        self.tell(Topic::Session, words, json!({ "session": name, "changed": name }));
         Ok(found)
     }
 
     fn look_for_it(
         &self,
         hands: &mut Hands,
-        wish: Wish,
+        mut wish: Wish,
         measured: &SaturationTable,
     ) -> Result<Found, CaptureError> {
+        if let Some(x_sync) = hands.lock_report()?.x_sync {
+            wish.x_sync = x_sync;
+        }
         let mut told = hands.lock()?;
         let start = exposure_of(&told).ok_or(CaptureError::ExposureUntold)?;
         let offered = hands.offered()?;

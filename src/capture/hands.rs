@@ -5,7 +5,7 @@ use super::error::CaptureError;
 use super::prompt::Prompter;
 use crate::pair::{Dial, Exposure, Offered, Settings};
 use crate::progress::{Cancelled, Progress};
-use crate::rig::{CameraError, Flash, FlashError, FlashShot, LockState, Shot};
+use crate::rig::{CameraError, Flash, FlashError, FlashShot, LockReport, LockState, Shot};
 use std::time::{Duration, Instant};
 
 /// How long the gate stays open for the lit frame. A tethered body may take seconds from the request to the
@@ -28,12 +28,15 @@ pub(super) struct Hands<'a> {
 impl Hands<'_> {
     /// Goes through the exposure lock, once an opened camera, and reads the dials.
     pub(super) fn lock(&mut self) -> Result<Settings, CaptureError> {
+        self.lock_report()?;
+        self.camera(|bench| bench.camera()?.settings())
+    }
+
+    /// The exposure lock, gone through once an opened camera; an error if a setting would spoil every pair.
+    pub(super) fn lock_report(&mut self) -> Result<LockReport, CaptureError> {
         let report = self.camera(|bench| bench.lock())?;
         let wrong = report.sentences(LockState::Wrong);
-        if !wrong.is_empty() {
-            return Err(CaptureError::NotLocked(wrong.join(" ")));
-        }
-        self.camera(|bench| bench.camera()?.settings())
+        if wrong.is_empty() { Ok(report) } else { Err(CaptureError::NotLocked(wrong.join(" "))) }
     }
 
     /// What the dials offer.

@@ -5,6 +5,7 @@ use super::{CliError, CliResult, Exit, progress_bar};
 use crate::capture::{Engine, Events, ExposureWish, Topic, words_on};
 use crate::pair::Verdict;
 use crate::pipeline::pairs;
+use crate::rig::LockState;
 use crate::session::Session;
 use indicatif::ProgressBar;
 use std::path::{Path, PathBuf};
@@ -41,6 +42,7 @@ pub(super) fn run(args: Args) -> CliResult {
         studio.go_to_pair(session.next_pair_number().map_err(CliError::new)?);
     }
     tell_of_recovery(&events, bar.clone())?;
+    show_lock(&engine, &session, &bar)?;
     if args.find_exposure {
         let found = engine.find_exposure(&session, ExposureWish::default(), &progress).map_err(|error| {
             bar.finish_and_clear();
@@ -72,6 +74,25 @@ fn open_or_make(path: &Path) -> Result<Session, CliError> {
     let absolute = std::path::absolute(path).map_err(CliError::new)?;
     let name = absolute.file_name().map(|n| n.to_string_lossy().into_owned());
     Session::create(path, name.as_deref().unwrap_or("session")).map_err(CliError::new)
+}
+
+/// Shows what the operator should know of the camera's settings, and what only he can look up.
+fn show_lock(engine: &Engine, session: &Session, bar: &ProgressBar) -> Result<(), CliError> {
+    let lock = engine.camera_state().map_err(CliError::new)?.lock;
+    let confirmed = session.manifest().confirmed;
+    for item in &lock.items {
+        match item.state {
+            LockState::Corrected | LockState::Warning => bar.suspend(|| println!("{}", item.sentence)),
+            LockState::Unreadable if !confirmed.contains(&item.name) => {
+                bar.suspend(|| println!("Please look: {}", item.sentence));
+            }
+            _ => {}
+        }
+    }
+    // Asked once a session: whoever goes on has looked.
+    let asked = lock.items.iter().filter(|item| item.state == LockState::Unreadable);
+    let asked: Vec<String> = asked.map(|item| item.name.clone()).collect();
+    session.confirm(&asked).map_err(CliError::new)
 }
 
 /// Shows that a device failed and is brought back.

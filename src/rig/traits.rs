@@ -1,6 +1,7 @@
 //! What capture asks of a camera and of a flash, whatever stands behind them.
 
 use crate::pair::{Dial, Offered, Settings};
+use crate::units::Seconds;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -78,10 +79,12 @@ pub struct LockItem {
 }
 
 /// The exposure lock, item by item.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LockReport {
     /// In the order of the maker's table.
     pub items: Vec<LockItem>,
+    /// Fastest shutter at which the whole frame sees the flash, where the body is known.
+    pub x_sync: Option<Seconds>,
 }
 
 impl LockReport {

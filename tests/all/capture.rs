@@ -228,7 +228,7 @@ fn a_camera_that_hangs_is_brought_back_and_both_frames_are_shot_again() {
         let told: Vec<_> = std::iter::from_fn(|| heard.try_recv().ok()).collect();
         let words: Vec<_> = told.iter().map(|e| (e.topic.name(), e.words.as_str())).collect();
         assert!(words[0].0 == "recovery" && words[0].1.contains("take a picture"), "{words:?}");
-        assert_eq!(words[1], ("recovery", "The camera is back (opened anew)."));
+        assert_eq!(words[1], ("recovery", "The devices are back (opened anew)."));
         assert!(shoot.journal().contains("pair_abandoned"));
     }
 }

@@ -169,7 +169,7 @@ impl Camera for FakeCamera {
             sentence: sentence.into(),
         };
         let mirror = (LockState::Unreadable, "Check in the menu that mirror lock-up is off.");
-        Ok(LockReport { items: vec![item("focus", focus), item("mirror_lock_up", mirror)] })
+        Ok(LockReport { items: vec![item("focus", focus), item("mirror_lock_up", mirror)], x_sync: None })
     }
 
     fn end_preview(&mut self) -> Result<(), CameraError> {

@@ -5,11 +5,12 @@ use crate::capture::engine::CameraState;
 use crate::capture::error::CaptureError;
 use crate::capture::events::Topic;
 use crate::capture::live::LivePicture;
-use crate::capture::place::name_of;
+use crate::capture::place::{PlaceError, name_of};
+use crate::capture::thumbnail::ThumbnailError;
 use crate::capture::{Devices, Frame};
-use crate::codec::raw;
 use crate::pair::{Exposure, Offered, Plan, Window};
 use crate::photometry::inspect::{self, Inspection};
+use crate::pipeline::saturation;
 use crate::rig::CameraInfo;
 use crate::session::Session;
 use serde_json::json;
@@ -72,7 +73,7 @@ impl Desk {
         Ok(session.manifest().confirmed)
     }
 
-    fn tell_session(&self, session: &Session) {
+    pub(super) fn tell_session(&self, session: &Session) {
         let name = name_of(session);
         self.0.events.tell(
             Topic::Session,
@@ -89,8 +90,9 @@ impl Desk {
             Frame::Off => &record.off.file,
             Frame::On => &record.on.file,
         };
-        let photo = raw::read(&session.pair_dir(number).join(file))
-            .map_err(crate::capture::thumbnail::ThumbnailError::from)?;
+        let measured = saturation::load(&session).map_err(PlaceError::from)?;
+        let photo = saturation::read(&session.pair_dir(number).join(file), &measured)
+            .map_err(ThumbnailError::from)?;
         let dn = &photo.mosaic.dn;
         let region = session.manifest().region.map(|window| window.sites(dn.width(), dn.height()));
         inspect::inspect(&photo.mosaic, region).map_err(|error| DeskError::BadValue(error.to_string()))
@@ -118,7 +120,8 @@ fn offered_exposure(wish: Exposure, offered: &Offered) -> Result<Exposure, DeskE
     }
     Ok(Exposure {
         shutter: nearest("shutter time", wish.shutter, &offered.shutters, |v| v.0)?,
-        aperture: nearest("aperture", wish.aperture, &offered.apertures, |v| v.0)?,
+        // Light goes with the square of the f-number.
+        aperture: nearest("aperture", wish.aperture, &offered.apertures, |v| v.0 * v.0)?,
         iso: nearest("sensitivity", wish.iso, &offered.isos, |v| v.0)?,
     })
 }

@@ -29,7 +29,7 @@ impl Desk {
 
     /// Finds the exposure of the session's pairs by test shots.
     pub fn find_exposure(&self, session: &str, wish: ExposureWish) -> Result<Job, DeskError> {
-        if !(wish.target_share > 0.0 && wish.target_share <= 1.0) {
+        if !(wish.target_share > 0.0 && wish.target_share < 1.0) {
             return Err(DeskError::BadValue(format!(
                 "target_share is {}, but the brightest channel can end between 0 and 1 of saturation only",
                 wish.target_share
@@ -39,6 +39,7 @@ impl Desk {
         let desk = self.clone();
         self.enqueue("find_exposure", &session.clone(), Lane::Rig, false, move |progress| {
             let found = desk.0.engine.find_exposure(&session, wish, progress)?;
+            desk.tell_session(&session);
             let exposure =
                 |e: Exposure| json!({ "shutter_s": e.shutter, "aperture": e.aperture, "iso": e.iso });
             let Plan { off, on } = found.plan;

@@ -7,6 +7,7 @@
 mod table;
 
 use crate::rig::{LockItem, LockReport, LockState};
+use crate::units::Seconds;
 use table::{Item, Maker, Says, Severity, TABLES, XSync, number};
 
 /// One setting as the camera tells it.
@@ -42,6 +43,7 @@ pub(super) fn go_through<C: Config>(
         report.items.extend(look_at(config, item)?);
     }
     report.items.extend(warnings(&report, table, &TABLES.x_sync, model));
+    report.x_sync = TABLES.x_sync.of(model).1.map(Seconds);
     Ok(report)
 }
 
