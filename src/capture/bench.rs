@@ -136,8 +136,14 @@ impl Bench {
         }
     }
 
-    /// Brings back whatever failed; says in which steps.
-    pub(super) fn recover(&mut self) -> Result<Vec<String>, CameraError> {
+    /// Opens a flash anew that was lost or silent.
+    pub(super) fn recover_flash(&mut self) -> Result<Vec<String>, FlashError> {
+        self.flash = None;
+        self.flash().map(|_| vec!["opened anew".into()])
+    }
+
+    /// Brings the camera back; says in which steps.
+    pub(super) fn recover_camera(&mut self) -> Result<Vec<String>, CameraError> {
         self.lock = None;
         self.camera()?.recover()
     }

@@ -18,7 +18,9 @@ use crate::rig::{CameraError, CameraInfo, FlashError, LockReport};
 use crate::session::Session;
 use serde_json::json;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
+use std::time::{Duration, Instant};
 
 /// Called on each accepted pair before it is announced: the studio's operator walks on, a turntable turns.
 pub type AfterPair = Arc<dyn Fn(&PairRecord) + Send + Sync>;
@@ -34,6 +36,10 @@ pub fn words_on(record: &PairRecord) -> String {
     }
 }
 
+/// How long a question about the camera waits for a pair that is being shot.
+const BENCH_PATIENCE: Duration = Duration::from_secs(10);
+/// How often a waiting question looks.
+const GLANCE: Duration = Duration::from_millis(20);
 /// How often a pair is tried when a device fails that can be brought back.
 pub(super) const ATTEMPTS: u32 = 3;
 
@@ -68,6 +74,8 @@ pub struct Engine {
     bench: Mutex<Bench>,
     list_cameras: ListCameras,
     live: Live,
+    /// Somebody asked for the devices while they were in use.
+    look_again: AtomicBool,
     /// What the session last shot into (its folder) remembers of its pairs.
     memory: Mutex<Option<(PathBuf, Earlier)>>,
     devices: Mutex<Devices>,
@@ -84,6 +92,7 @@ impl Engine {
             bench: Mutex::new(Bench::new(source.camera, source.flash)),
             list_cameras: source.cameras,
             live: Live::default(),
+            look_again: AtomicBool::new(false),
             memory: Mutex::default(),
             devices: Mutex::new(Devices::unknown()),
             prompter: Prompter::new(events.clone()),
@@ -102,7 +111,10 @@ impl Engine {
         let seen = match self.bench.try_lock() {
             Ok(mut bench) => bench.look(),
             Err(TryLockError::Poisoned(bench)) => bench.into_inner().look(),
-            Err(TryLockError::WouldBlock) => return self.devices(),
+            Err(TryLockError::WouldBlock) => {
+                self.look_again.store(true, Ordering::Release);
+                return self.devices();
+            }
         };
         self.note_devices(seen.clone());
         seen
@@ -184,7 +196,8 @@ impl Engine {
     /// both frames are shot again: a pair is never made of frames from before and after a failure.
     fn shoot(&self, place: &mut dyn Place, progress: &Progress) -> Result<Verdict, CaptureError> {
         let mut bench = self.take_bench();
-        let mut outcome = Run::new(&mut bench, place, &self.prompter, &self.limits, progress).finish();
+        let mut outcome =
+            Run::new(&mut bench, place, &self.prompter, &self.limits, progress, &self.events).finish();
         for _ in 1..ATTEMPTS {
             let Err(error) = &outcome else { break };
             if !worth_another_try(error) || progress.is_cancelled() {
@@ -194,9 +207,13 @@ impl Engine {
                 outcome = Err(error);
                 break;
             }
-            outcome = Run::new(&mut bench, place, &self.prompter, &self.limits, progress).finish();
+            outcome =
+                Run::new(&mut bench, place, &self.prompter, &self.limits, progress, &self.events).finish();
         }
-        if let Err(CaptureError::Camera(_) | CaptureError::Flash(_) | CaptureError::NoFlash) = outcome {
+        let trouble =
+            matches!(outcome, Err(CaptureError::Camera(_) | CaptureError::Flash(_) | CaptureError::NoFlash));
+        // Somebody may have plugged something in or out while the bench was in use.
+        if self.look_again.swap(false, Ordering::AcqRel) || trouble {
             let seen = bench.look();
             drop(bench);
             self.note_devices(seen);
@@ -213,8 +230,11 @@ impl Engine {
     ) -> Result<(), CaptureError> {
         self.events.tell(Topic::Recovery, error.to_string(), json!({ "code": error.code() }));
         progress.report("Bringing the devices back", 0, 1);
-        let steps = bench.recover()?;
-        let words = format!("The devices are back{}.", told(&steps));
+        let (what, steps) = match error {
+            CaptureError::Flash(_) => ("flash", bench.recover_flash()?),
+            _ => ("camera", bench.recover_camera()?),
+        };
+        let words = format!("The {what} is back{}.", told(&steps));
         self.events.tell(Topic::Recovery, words, json!({ "steps": steps }));
         Ok(())
     }
@@ -227,6 +247,24 @@ impl Engine {
     pub(super) fn take_bench(&self) -> MutexGuard<'_, Bench> {
         let _reserved = self.live.reserve();
         lock(&self.bench)
+    }
+
+    /// The bench, unless whoever has it does not let go in time: a pair may wait for the operator for ever.
+    fn bench_within(&self, patience: Duration) -> Result<MutexGuard<'_, Bench>, CameraError> {
+        let _reserved = self.live.reserve();
+        let end = Instant::now() + patience;
+        loop {
+            match self.bench.try_lock() {
+                Ok(bench) => return Ok(bench),
+                Err(TryLockError::Poisoned(bench)) => return Ok(bench.into_inner()),
+                Err(TryLockError::WouldBlock) if Instant::now() < end => std::thread::sleep(GLANCE),
+                Err(TryLockError::WouldBlock) => {
+                    return Err(CameraError::Busy(
+                        "it is being used for a pair; ask again when that has ended".into(),
+                    ));
+                }
+            }
+        }
     }
 
     pub(super) fn live(&self) -> &Live {
@@ -262,18 +300,18 @@ impl Engine {
     }
 
     /// From now on, the camera on this port; says how the devices then stand.
-    pub fn choose_camera(&self, port: &str) -> Devices {
-        let mut bench = self.take_bench();
+    pub fn choose_camera(&self, port: &str) -> Result<Devices, CameraError> {
+        let mut bench = self.bench_within(BENCH_PATIENCE)?;
         bench.choose(port);
         let seen = bench.look();
         drop(bench);
         self.note_devices(seen.clone());
-        seen
+        Ok(seen)
     }
 
     /// How the camera stands: its settings, what its dials offer, and the exposure lock, gone through now.
     pub fn camera_state(&self) -> Result<CameraState, CameraError> {
-        let mut bench = self.take_bench();
+        let mut bench = self.bench_within(BENCH_PATIENCE)?;
         bench.unlock();
         let state = bench.state();
         if let Err(error) = &state {

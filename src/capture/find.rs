@@ -3,10 +3,11 @@
 //! Test shots are never stored. Whatever happens, the gate is closed again at the end, and a plan that was not
 //! found changes nothing.
 
+use super::bench::FlashKind;
 use super::engine::{ATTEMPTS, Engine, worth_another_try};
 use super::error::CaptureError;
 use super::hands::{Hands, exposure_of};
-use crate::pair::finding::{Finding, Found, MOST_SHOTS, Next, Wish};
+use crate::pair::finding::{Finding, Found, Keep, MOST_SHOTS, Next, Wish};
 use crate::pair::{Exposure, Settings};
 use crate::photometry::Mosaic;
 use crate::photometry::saturation::SaturationTable;
@@ -22,11 +23,15 @@ pub struct ExposureWish {
     pub target_share: f64,
     /// Whether the unlit frame may be exposed longer.
     pub separate_off: bool,
+    /// Whether the room is dark, so that no test shot without flash is needed.
+    pub flash_only: bool,
+    /// Settings that must stay as they are.
+    pub keep: Keep,
 }
 
 impl Default for ExposureWish {
     fn default() -> Self {
-        Self { target_share: 0.85, separate_off: false }
+        Self { target_share: 0.85, separate_off: false, flash_only: false, keep: Keep::default() }
     }
 }
 
@@ -46,6 +51,8 @@ impl Engine {
         let wish = Wish {
             target_share: wish.target_share,
             separate_off: wish.separate_off,
+            flash_only: wish.flash_only,
+            keep: wish.keep,
             ..Wish::of(session.manifest().region)
         };
         let mut bench = self.take_bench();
@@ -142,7 +149,11 @@ impl Hands<'_> {
     }
 
     fn darken_or_arm(&mut self, flash: bool) -> Result<(), CaptureError> {
-        self.darken()?;
+        // Nobody should be sent to switch a flash off and on again for one shot.
+        let by_hand = matches!(self.bench.flash()?, FlashKind::Manual);
+        if !(flash && by_hand) {
+            self.darken()?;
+        }
         if flash { self.arm(TAG) } else { Ok(()) }
     }
 }

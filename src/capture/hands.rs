@@ -44,17 +44,17 @@ impl Hands<'_> {
         self.camera(|bench| bench.camera()?.offered())
     }
 
-    /// Turns the dials that do not stand as they should, and reads them back.
-    pub(super) fn turn_dials(&mut self, now: &Settings, wanted: &Exposure) -> Result<(), CaptureError> {
+    /// Turns the dials that do not stand as they should, and reads them back; says whether any was turned.
+    pub(super) fn turn_dials(&mut self, now: &Settings, wanted: &Exposure) -> Result<bool, CaptureError> {
         let turns = turns(now, wanted);
         if turns.is_empty() {
-            return Ok(());
+            return Ok(false);
         }
         for dial in turns {
             self.camera(|bench| bench.camera()?.set(dial))?;
         }
         let now = self.camera(|bench| bench.camera()?.settings())?;
-        if self::turns(&now, wanted).is_empty() { Ok(()) } else { Err(disobeyed(&now, wanted)) }
+        if self::turns(&now, wanted).is_empty() { Ok(true) } else { Err(disobeyed(&now, wanted)) }
     }
 
     /// Closes the gate and forgets the syncs of the past, or asks the operator to switch the flash off.

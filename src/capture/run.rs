@@ -2,6 +2,7 @@
 
 use super::bench::Bench;
 use super::error::CaptureError;
+use super::events::{Events, Topic};
 use super::hands::{Hands, exposure_of};
 use super::machine::{Effect, End, Event, Frame, State, step};
 use super::place::{Delivered, Place, PlaceError, Shots};
@@ -11,6 +12,7 @@ use crate::pair::{FlashRecord, Limits, Plan, Reason, ReasonCode, Settings, Stop,
 use crate::pipeline::pairs;
 use crate::progress::{Cancelled, Progress};
 use crate::rig::FlashShot;
+use serde_json::json;
 use std::collections::VecDeque;
 
 /// Steps of a pair that progress counts.
@@ -21,6 +23,7 @@ pub(super) struct Run<'a> {
     hands: Hands<'a>,
     place: &'a mut dyn Place,
     limits: &'a Limits,
+    events: &'a Events,
     /// What the camera told before the pair.
     told: Settings,
     plan: Option<Plan>,
@@ -41,11 +44,13 @@ impl<'a> Run<'a> {
         prompter: &'a Prompter,
         limits: &'a Limits,
         progress: &'a Progress,
+        events: &'a Events,
     ) -> Self {
         Self {
             hands: Hands { bench, prompter, progress },
             place,
             limits,
+            events,
             told: Settings::default(),
             plan: None,
             off: None,
@@ -178,9 +183,7 @@ impl<'a> Run<'a> {
         if self.plan.is_none()
             && let Some(exposure) = exposure_of(&self.told)
         {
-            let plan = Plan { off: exposure, on: exposure };
-            self.place.adopt(plan)?;
-            self.plan = Some(plan);
+            self.plan = Some(Plan { off: exposure, on: exposure });
         }
         Ok(())
     }
@@ -191,7 +194,12 @@ impl<'a> Run<'a> {
             Frame::Off => plan.off,
             Frame::On => plan.on,
         };
-        self.hands.turn_dials(&self.told, &wanted)?;
+        let turned = self.hands.turn_dials(&self.told, &wanted)?;
+        if turned && frame == Frame::Off && plan.off == plan.on {
+            let words =
+                format!("The camera stood otherwise: its dials were turned back to the session's {wanted}.");
+            self.events.tell(Topic::Recovery, words, json!({ "code": "dials_turned" }));
+        }
         self.told = Settings {
             shutter: Some(wanted.shutter),
             aperture: Some(wanted.aperture),
@@ -267,6 +275,13 @@ impl<'a> Run<'a> {
             // The machine stores only after both frames were taken.
             return Err(PlaceError::Incomplete.into());
         };
+        // The first good pair sets the plan; a rejected one leaves the operator free to set the camera otherwise.
+        if let Some(plan) = self.plan
+            && self.reasons.is_empty()
+            && self.place.plan().is_none()
+        {
+            self.place.adopt(plan)?;
+        }
         let [off_settings, on_settings] = std::mem::take(&mut self.settings);
         let [off_digest, on_digest] = std::mem::take(&mut self.digests);
         let staged = (off.staged().map_err(PlaceError::from)?, on.staged().map_err(PlaceError::from)?);

@@ -2,8 +2,8 @@
 
 use super::devices::DeviceArgs;
 use super::{CliError, CliResult, Exit, progress_bar};
-use crate::capture::{Engine, Events, ExposureWish, Topic, words_on};
-use crate::pair::Verdict;
+use crate::capture::{CaptureError, Engine, Events, ExposureWish, Topic, words_on};
+use crate::pair::{Exposure, Plan, Verdict};
 use crate::pipeline::pairs;
 use crate::rig::LockState;
 use crate::session::Session;
@@ -23,6 +23,9 @@ pub(super) struct Args {
     /// Finds the exposure by test shots first, and makes it the session's.
     #[arg(long)]
     find_exposure: bool,
+    /// Makes the exposure on the camera's dials the session's; without it, dials are turned back to the session's.
+    #[arg(long, conflicts_with = "find_exposure")]
+    keep_dials: bool,
     /// JSON file with limits of the checks; what it does not name keeps its default.
     #[arg(long, value_name = "FILE")]
     limits: Option<PathBuf>,
@@ -43,6 +46,14 @@ pub(super) fn run(args: Args) -> CliResult {
     }
     tell_of_recovery(&events, bar.clone())?;
     show_lock(&engine, &session, &bar)?;
+    if args.keep_dials {
+        let told = engine.camera_state().map_err(CliError::new)?.settings;
+        let (Some(shutter), Some(aperture), Some(iso)) = (told.shutter, told.aperture, told.iso) else {
+            return Err(CliError::new(CaptureError::ExposureUntold));
+        };
+        let exposure = Exposure { shutter, aperture, iso };
+        session.set_plan(Plan { off: exposure, on: exposure }).map_err(CliError::new)?;
+    }
     if args.find_exposure {
         let found = engine.find_exposure(&session, ExposureWish::default(), &progress).map_err(|error| {
             bar.finish_and_clear();

@@ -1,6 +1,7 @@
 //! What goes over the wire about the camera.
 
 use crate::capture::{CameraState, ExposureWish};
+use crate::pair::finding::Keep;
 use crate::pair::{Exposure, Plan, Window};
 use crate::photometry::inspect::{ChannelFigures, Inspection};
 use crate::rig::{CameraInfo, LockItem, LockState};
@@ -83,18 +84,35 @@ pub(super) struct FindOrder {
     target_share: f64,
     /// Whether the frame without flash may be exposed longer, for less noise.
     separate_off: bool,
+    /// Whether the room is dark, so that no test shot without flash is needed.
+    flash_only: bool,
+    /// Leaves the exposure time as it is.
+    keep_shutter: bool,
+    /// Leaves the aperture as it is, for the depth of field.
+    keep_aperture: bool,
+    /// Leaves the sensitivity as it is.
+    keep_iso: bool,
 }
 
 impl Default for FindOrder {
     fn default() -> Self {
-        let ExposureWish { target_share, separate_off } = ExposureWish::default();
-        Self { target_share, separate_off }
+        let ExposureWish { target_share, separate_off, flash_only, keep } = ExposureWish::default();
+        Self {
+            target_share,
+            separate_off,
+            flash_only,
+            keep_shutter: keep.shutter,
+            keep_aperture: keep.aperture,
+            keep_iso: keep.iso,
+        }
     }
 }
 
 impl From<FindOrder> for ExposureWish {
-    fn from(FindOrder { target_share, separate_off }: FindOrder) -> Self {
-        Self { target_share, separate_off }
+    fn from(order: FindOrder) -> Self {
+        let FindOrder { target_share, separate_off, flash_only, .. } = order;
+        let keep = Keep { shutter: order.keep_shutter, aperture: order.keep_aperture, iso: order.keep_iso };
+        Self { target_share, separate_off, flash_only, keep }
     }
 }
 
@@ -107,12 +125,14 @@ pub(super) struct PlanBody {
     on: ExposureBody,
     /// Both in words.
     words: String,
+    /// What the operator should know of these exposures.
+    warnings: Vec<String>,
 }
 
 impl From<Plan> for PlanBody {
     fn from(plan: Plan) -> Self {
-        let words = plan.words();
-        Self { off: plan.off.into(), on: plan.on.into(), words }
+        let (words, warnings) = (plan.words(), plan.warnings(None));
+        Self { off: plan.off.into(), on: plan.on.into(), words, warnings }
     }
 }
 

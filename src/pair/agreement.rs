@@ -72,6 +72,15 @@ fn against_plan(found: &Settings, planned: &Exposure, frame: &str, limits: &Limi
             format!("The {name} is {words} in the {frame} frame but {planned_words} in the plan; {ADVICE}.");
         reasons.push(Reason { code: ReasonCode::SettingsChanged, figure: value, limit: planned, sentence });
     }
+    // Lenses without contacts tell no aperture; shutter and ISO every camera writes.
+    for (name, untold) in [("shutter time", found.shutter.is_none()), ("ISO", found.iso.is_none())] {
+        if untold {
+            let sentence = format!(
+                "The {frame} frame does not tell its {name}, so nothing proves that it kept to the plan; shoot raw files as the camera writes them."
+            );
+            reasons.push(Reason { code: ReasonCode::SettingsChanged, figure: 0.0, limit: 1.0, sentence });
+        }
+    }
     reasons
 }
 
@@ -178,6 +187,9 @@ mod tests {
         assert_eq!(reasons.len(), 1);
         assert!(reasons[0].sentence.starts_with("The white balance is \"Auto\""), "{}", reasons[0].sentence);
         let untold = Settings::default();
-        assert_eq!(differences(&untold, &auto, Some(&plan), &Limits::default()), []);
+        assert_eq!(differences(&untold, &auto, None, &Limits::default()), []);
+        let reasons = differences(&untold, &told(FAST), Some(&plan), &Limits::default());
+        assert_eq!(reasons.len(), 2);
+        assert!(reasons[0].sentence.contains("does not tell its shutter time"), "{}", reasons[0].sentence);
     }
 }

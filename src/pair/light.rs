@@ -31,7 +31,9 @@ pub(super) fn overexposed(survey: &Survey, limits: &Limits, has_region: bool) ->
         (true, false) => " outside the region",
     };
     let advice = match (frame, inside) {
-        ("lit", true) => "lower the flash power, or close the aperture",
+        ("lit", true) => {
+            "close the aperture or find the exposure anew (lower the flash power only before a session's first pair)"
+        }
         (_, true) => "shorten the exposure, or dim the room",
         (_, false) => "turn the lamp or window out of the picture, or cover what shines",
     };
@@ -108,7 +110,7 @@ pub(super) fn weak_pulse(share: f64, limits: &Limits) -> Option<Reason> {
         return None;
     }
     let sentence = format!(
-        "The flash's pulse had {:.1} % of the energy of the session's earlier ones, less than {:.1} %; let it recharge or cool, and shoot the pair again.",
+        "The flash's pulse had {:.1} % of the energy of the session's earlier ones, less than {:.1} %; let it recharge or cool, and shoot the pair again. All pairs of a session need one flash power: to change it, begin another session.",
         100.0 * share,
         100.0 * limits.least_energy
     );

@@ -44,6 +44,34 @@ impl Plan {
     }
 }
 
+/// X-sync time of bodies whose own is not known.
+const USUAL_X_SYNC: Seconds = Seconds(1.0 / 200.0);
+/// F-number below which bodies were seen to scale their raw values.
+const WIDE: FNumber = FNumber(4.0);
+
+impl Plan {
+    /// What the operator should know of these exposures; `x_sync` is the body's, where it is known.
+    pub fn warnings(&self, x_sync: Option<Seconds>) -> Vec<String> {
+        let mut warnings = Vec::new();
+        let fastest = x_sync.unwrap_or(USUAL_X_SYNC);
+        // Labels are rounded.
+        if self.on.shutter.0 < 0.97 * fastest.0 {
+            warnings.push(format!(
+                "The shutter at {} is faster than the X-sync time of {fastest}: the flash may light a stripe of the frame only.",
+                self.on.shutter
+            ));
+        }
+        let widest = self.on.aperture.0.min(self.off.aperture.0);
+        if widest < 0.97 * WIDE.0 {
+            warnings.push(format!(
+                "The aperture of {} is wider than {WIDE}: some bodies (Canon) then multiply raw values by a factor that they do not tell.",
+                FNumber(widest)
+            ));
+        }
+        warnings
+    }
+}
+
 /// One dial and where it should stand.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

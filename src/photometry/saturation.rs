@@ -182,7 +182,8 @@ fn spike(counts: &[u64], colour: &'static str) -> Result<f32, NotBlown> {
         .unwrap_or(peak);
     let held: u64 = counts[foot..].iter().sum();
     let share = held as f64 / sites.max(1) as f64;
-    let below = foot - foot / 10..foot.max(1) - 1;
+    let end = foot.saturating_sub(1);
+    let below = (foot - foot / 10).min(end)..end;
     let beside = counts[below.clone()].iter().sum::<u64>() as f64 / below.len().max(1) as f64;
     let height = held as f64 / (top + 1).saturating_sub(foot).max(1) as f64;
     if share < LEAST_SPIKE || height < PROMINENCE * beside {

@@ -7,11 +7,12 @@
 
 use crate::codec::{exif::settings as settings_of, raw};
 use crate::pair::{self, Expected, FrameView, Judgement, Limits, PairRecord, Settings};
+use crate::photometry::inspect::Region;
 use crate::photometry::saturation::SaturationTable;
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::stops::{Delivery, Earlier, EarlierError};
 use crate::progress::{Cancelled, Progress};
-use crate::session::{Commit, NewFrame, NewPair, Prepared, Session, SessionError, store};
+use crate::session::{Commit, Manifest, NewFrame, NewPair, Prepared, Session, SessionError, store};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -152,7 +153,10 @@ fn import_pair(
     };
     let ((off_photo, off_digest), (on_photo, on_digest)) =
         rayon::join(|| read(&off_bytes, off), || read(&on_bytes, on));
-    let expected = earlier.expecting(&off_digest, &on_digest, None, Delivery::Files);
+    let manifest = session.manifest();
+    let mut expected = earlier.expecting(&off_digest, &on_digest, None, Delivery::Files);
+    expected.plan = manifest.plan.as_ref();
+    expected.region = region_of(&manifest, &off_photo);
     let Judgement { reasons, stop } = judge(&off_photo, &on_photo, &expected, limits);
     // What cannot be decoded may still tell its settings.
     let settings = |photo: Result<raw::Photo, raw::RawError>, bytes: &[u8]| -> Settings {
@@ -185,6 +189,12 @@ fn import_pair(
         }
         Commit::AlreadyThere(record) => Imported { record, already_there: true },
     })
+}
+
+/// The session's region of interest in the sites of a frame of this size.
+pub fn region_of(manifest: &Manifest, frame: &Result<raw::Photo, raw::RawError>) -> Option<Region> {
+    let dn = &frame.as_ref().ok()?.mosaic.dn;
+    manifest.region.map(|window| window.sites(dn.width(), dn.height()))
 }
 
 /// Judges a pair by its two decoded files: what decoding says, else what the checks say. The one entry for pairs

@@ -11,7 +11,7 @@ use unlit::capture::{
 use unlit::pair::{Exposure, Limits, PairRecord, Plan, ReasonCode, Verdict};
 use unlit::progress::Progress;
 use unlit::session::Session;
-use unlit::units::Iso;
+use unlit::units::{FNumber, Iso, Seconds};
 
 struct Shoot {
     folder: TempDir,
@@ -228,7 +228,7 @@ fn a_camera_that_hangs_is_brought_back_and_both_frames_are_shot_again() {
         let told: Vec<_> = std::iter::from_fn(|| heard.try_recv().ok()).collect();
         let words: Vec<_> = told.iter().map(|e| (e.topic.name(), e.words.as_str())).collect();
         assert!(words[0].0 == "recovery" && words[0].1.contains("take a picture"), "{words:?}");
-        assert_eq!(words[1], ("recovery", "The devices are back (opened anew)."));
+        assert_eq!(words[1], ("recovery", "The camera is back (opened anew)."));
         assert!(shoot.journal().contains("pair_abandoned"));
     }
 }
@@ -249,6 +249,38 @@ fn the_first_pair_sets_the_plan_and_later_ones_keep_to_it() {
     let path = shoot.session.path().to_owned();
     drop(shoot.session);
     assert_eq!(Session::open(&path).unwrap().manifest().plan, Some(plan));
+}
+
+#[test]
+fn a_rejected_first_pair_leaves_the_operator_free_to_set_the_camera_otherwise() {
+    let room = Room::with(Trouble::Overexposed);
+    let shoot = shoot_with(room.rig());
+    assert_eq!(shoot.pair().unwrap().verdict, Verdict::Rejected);
+    assert_eq!(shoot.session.manifest().plan, None);
+    room.set(Trouble::None);
+    let closed = Exposure { aperture: FNumber(16.0), ..DIALS };
+    room.turn(closed);
+    assert_eq!(shoot.pair().unwrap().verdict, Verdict::Accepted);
+    assert_eq!(shoot.session.manifest().plan, Some(Plan { off: closed, on: closed }));
+    let (_, mut heard) = shoot.events.listen();
+    room.turn(DIALS);
+    assert_eq!(shoot.pair().unwrap().on.settings.aperture, Some(FNumber(16.0)));
+    let told = heard.try_recv().unwrap();
+    assert!(told.topic.name() == "recovery" && told.words.contains("turned back"), "{}", told.words);
+}
+
+#[test]
+fn frames_of_different_exposures_follow_the_plan_each() {
+    let room = Room::default();
+    let shoot = shoot_with(room.rig());
+    let slow = Exposure { shutter: Seconds(1.0 / 30.0), ..DIALS };
+    shoot.session.set_plan(Plan { off: slow, on: DIALS }).unwrap();
+    for _ in 0..2 {
+        let pair = shoot.pair().unwrap();
+        assert_eq!(pair.verdict, Verdict::Accepted, "{:?}", pair.reasons);
+        assert_eq!(pair.off.settings.shutter, Some(slow.shutter));
+        assert_eq!(pair.on.settings.shutter, Some(DIALS.shutter));
+    }
 }
 
 #[test]

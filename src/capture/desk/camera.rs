@@ -32,7 +32,7 @@ impl Desk {
                 "port is empty; give one of the ports that /cameras lists".into(),
             ));
         }
-        Ok(self.0.engine.choose_camera(port))
+        Ok(self.0.engine.choose_camera(port).map_err(CaptureError::from)?)
     }
 
     /// How the camera stands; the exposure lock is gone through on the way.

@@ -95,14 +95,19 @@ impl<S: ExposureScale> Finding<S> {
             return Err(FindingError::Wish(sentence));
         }
         // Slower than at the start only the room's light grows, faster than X-sync the flash is cut.
-        let slowest = scale.time(start.shutter) * 1.01;
-        let fastest = scale.time(wish.x_sync).min(slowest) * 0.99;
+        let (begin, sync) = (scale.time(start.shutter), scale.time(wish.x_sync));
+        let (fastest, slowest) = (sync * 0.99, begin.max(sync) * 1.01);
         let within = |t: &Seconds| (fastest..=slowest).contains(&scale.time(*t));
         let shutters = offered.shutters.iter().copied().filter(|t| sane(t.0)).filter(within);
         let shutters = choices(start.shutter, wish.keep.shutter, shutters);
         let apertures = offered.apertures.iter().copied().filter(|n| sane(n.0));
         let apertures = choices(start.aperture, wish.keep.aperture, apertures);
         let isos = choices(start.iso, wish.keep.iso, offered.isos.iter().copied().filter(|iso| sane(iso.0)));
+        // A start faster than X-sync would show the flash in a stripe only.
+        let start = match shutters.first() {
+            Some(&slow) if begin < fastest && !wish.keep.shutter => Exposure { shutter: slow, ..start },
+            _ => start,
+        };
         let mut all = vec![];
         for &shutter in &shutters {
             for &aperture in &apertures {

@@ -186,6 +186,15 @@ fn what_cannot_be_reached_says_what_to_change() {
 }
 
 #[test]
+fn a_start_faster_than_x_sync_is_slowed_down_to_it() {
+    let start = Exposure { shutter: Seconds(1.0 / 512.0), ..START };
+    let (found, shots) = search(&scene(0.05, 0.3), Wish::of(Some(WINDOW)), &offered(), start);
+    let sync = Nominal.time(Wish::of(None).x_sync);
+    assert!(Nominal.time(found.unwrap().plan.on.shutter) >= 0.99 * sync);
+    assert!(shots.iter().all(|(e, _)| Nominal.time(e.shutter) >= 0.99 * sync), "{shots:?}");
+}
+
+#[test]
 fn a_weak_flash_is_warned_about_before_the_lens_opens_beyond_f4() {
     let lens = Offered {
         apertures: thirds(2.0, 512.0, 2.0).into_iter().map(|n| FNumber(n.sqrt())).collect(),
