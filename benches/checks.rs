@@ -79,7 +79,7 @@ fn main() {
     let stops: Vec<_> = survey.stop().into_iter().cycle().take(200).collect();
     let view = |mosaic| FrameView { mosaic, settings: &settings };
     let files = Some(Files { off: "a", on: "b", earlier: &earlier, may_share_unlit: false });
-    let expected = Expected { earlier: &stops, files, ..Expected::default() };
+    let expected = Expected { earlier: Some(&stops), files, ..Expected::default() };
     let mut reasons = 0;
     measured("all checks, against 200 earlier stops", || {
         reasons = judge_expecting(view(&off), view(&on), &expected, &Limits::default()).reasons.len();

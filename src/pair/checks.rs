@@ -7,7 +7,7 @@
 
 use super::limits::Limits;
 use super::plan::Plan;
-use super::stop::Stop;
+use super::stop::{EarlierStops, Stop};
 use super::{Reason, ReasonCode, Settings, agreement, light, motion, survey};
 use crate::photometry::Mosaic;
 use crate::photometry::inspect::Region;
@@ -30,7 +30,7 @@ pub struct Expected<'a> {
     /// Where the object is; without it, everywhere.
     pub region: Option<Region>,
     /// Signatures of earlier accepted pairs, from any stops.
-    pub earlier: &'a [Stop],
+    pub earlier: Option<&'a dyn EarlierStops>,
     /// What the flash controller measured of this pulse and of earlier ones.
     pub energy: Option<EnergyExpectation>,
     /// What these two files must not be.
@@ -119,7 +119,8 @@ pub fn judge_expecting(off: FrameView, on: FrameView, expected: &Expected, limit
     // What moved, or was lit by another room, shows no flash light to compare.
     let comparable = same_settings && weak.is_none() && moved.is_none() && ambient.is_none();
     let before = stop.as_ref().filter(|_| comparable);
-    let before = before.and_then(|stop| stop.flash_against_earlier(expected.earlier, limits));
+    let before =
+        before.zip(expected.earlier).and_then(|(stop, earlier)| stop.flash_against_earlier(earlier, limits));
     reasons.extend(weak);
     reasons.extend(before.and_then(|share| light::weaker_than_before(share, limits)));
     reasons.extend(expected.energy.and_then(|e| light::weak_pulse(e.counts / e.usual, limits)));
@@ -268,8 +269,8 @@ mod tests {
             |off, on, expected: &Expected| judge_expecting(view(off), view(on), expected, &Limits::default());
         let before = judged(&earlier_off, &earlier_on, &Expected::default());
         assert_eq!(before.reasons, []);
-        let earlier = [before.stop.unwrap()];
-        let reasons = judged(&off, &on, &Expected { earlier: &earlier, ..Expected::default() }).reasons;
+        let earlier = vec![before.stop.unwrap()];
+        let reasons = judged(&off, &on, &Expected { earlier: Some(&earlier), ..Expected::default() }).reasons;
         assert_eq!(reasons.len(), 1);
         assert_eq!(reasons[0].code, ReasonCode::Weak);
         assert!((reasons[0].figure - 1.0 / 1.3).abs() < 0.01, "{reasons:?}");

@@ -18,4 +18,4 @@ pub use limits::Limits;
 pub use plan::{Dial, Exposure, Offered, Plan, Window, WindowOutside};
 pub use record::{CompanionRecord, FlashRecord, FrameRecord, PairRecord, Reason, ReasonCode, Verdict};
 pub use settings::Settings;
-pub use stop::Stop;
+pub use stop::{EarlierStops, Stop, StopKey};

@@ -46,7 +46,54 @@ pub struct Stop {
     gain: Option<f64>,
 }
 
+/// Blocks of a key across and down.
+const KEY: [usize; 2] = [6, 4];
+/// Key value of a block as bright as the frame's mean; four times as bright is full.
+const KEY_MEAN: f32 = 64.0;
+/// Share of itself, and key values beyond it, by which a block of one stop's two pairs may differ: far more than
+/// the signatures themselves may, so that no match is passed over.
+const KEY_TOLERANCE: (f32, f32) = (0.3, 6.0);
+
+/// The gist of a signature, small enough to keep of every pair: where it differs, the stops do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StopKey([u8; KEY[0] * KEY[1]]);
+
+impl StopKey {
+    /// Whether the stops may be the same one.
+    pub fn may_match(&self, other: &StopKey) -> bool {
+        self.0.iter().zip(&other.0).all(|(&a, &b)| {
+            let (a, b) = (f32::from(a), f32::from(b));
+            (a - b).abs() <= KEY_TOLERANCE.0 * a.max(b) + KEY_TOLERANCE.1
+        })
+    }
+}
+
+/// Signatures of earlier accepted pairs, wherever they are kept.
+pub trait EarlierStops: std::fmt::Debug {
+    /// Those that may be from the stop of `stop`; at least all that are.
+    fn candidates(&self, stop: &Stop) -> Vec<Stop>;
+}
+
+impl EarlierStops for Vec<Stop> {
+    fn candidates(&self, stop: &Stop) -> Vec<Stop> {
+        let key = stop.key();
+        self.iter().filter(|earlier| earlier.key().may_match(&key)).cloned().collect()
+    }
+}
+
 impl Stop {
+    /// The gist of its room light.
+    pub fn key(&self) -> StopKey {
+        let [across, down] = self.grid.map(|n| n.max(1));
+        let (mut sums, mut counts) = ([0f32; KEY[0] * KEY[1]], [0f32; KEY[0] * KEY[1]]);
+        for (i, &value) in self.ambient.iter().enumerate() {
+            let (x, y) = (i % across * KEY[0] / across, (i / across).min(down - 1) * KEY[1] / down);
+            sums[y * KEY[0] + x] += f32::from(value) * self.ambient_unit;
+            counts[y * KEY[0] + x] += 1.0;
+        }
+        StopKey(std::array::from_fn(|i| (KEY_MEAN * sums[i] / counts[i].max(1.0)).min(255.0) as u8))
+    }
+
     /// `None` for frames too small or too dark to tell one stop from another. `black` is the frames' mean black
     /// in DN, unlit first; `scale` is S_on / S_off, `gain` the lit frame's ISO / N^2.
     pub(super) fn new(
@@ -145,8 +192,9 @@ impl Stop {
     }
 
     /// Median share of the flash light that earlier pairs from the very same stop had; `None` if none is.
-    pub(super) fn flash_against_earlier(&self, earlier: &[Stop], limits: &Limits) -> Option<f64> {
-        let same = earlier.iter().filter(|stop| self.is_same_stop(stop, limits));
+    pub(super) fn flash_against_earlier(&self, earlier: &dyn EarlierStops, limits: &Limits) -> Option<f64> {
+        let candidates = earlier.candidates(self);
+        let same = candidates.iter().filter(|stop| self.is_same_stop(stop, limits));
         let mut shares: Vec<f64> = same.filter_map(|stop| self.flash_against(stop)).collect();
         shares.sort_by(f64::total_cmp);
         shares.get(shares.len() / 2).copied()
@@ -255,7 +303,7 @@ mod tests {
     #[test]
     fn the_flash_is_compared_with_the_same_stop_alone_and_in_one_unit() {
         let limits = Limits::default();
-        let earlier = [stop(1, 15.0, 1.0, 3.0), stop(11, 0.0, 1.2, 1.0)];
+        let earlier = vec![stop(1, 15.0, 1.0, 3.0), stop(11, 0.0, 1.2, 1.0)];
         let share = stop(21, 0.0, 1.0, 0.8).flash_against_earlier(&earlier, &limits).unwrap();
         assert!((share - 0.8).abs() < 0.005, "{share}");
         assert_eq!(stop(21, 30.0, 1.0, 0.8).flash_against_earlier(&earlier, &limits), None);

@@ -6,7 +6,8 @@
 
 use crate::codec::raw;
 use crate::pair::{
-    EnergyExpectation, Expected, Exposure, Files, Limits, PairRecord, Plan, Role, Settings, Stop, Verdict,
+    EarlierStops, EnergyExpectation, Expected, Exposure, Files, Limits, PairRecord, Plan, Role, Settings,
+    Stop, StopKey, Verdict,
 };
 use crate::progress::{Cancelled, Progress};
 use crate::session::{Session, SessionError, store};
@@ -40,7 +41,10 @@ pub enum Delivery {
 /// A session's pairs as far as later ones are held against them.
 #[derive(Clone, Debug, Default)]
 pub struct Earlier {
-    stops: Vec<Stop>,
+    /// Where the signatures lie.
+    folder: PathBuf,
+    /// Pairs with a signature: its gist and the pair's number.
+    stops: Vec<(StopKey, u32)>,
     files: BTreeMap<String, (Role, u32)>,
     energies: Vec<f64>,
 }
@@ -58,7 +62,7 @@ struct StopFile {
 impl Earlier {
     /// Remembers all pairs of a session; signatures that are missing are made from the originals and kept.
     pub fn load(session: &Session, progress: &Progress) -> Result<Self, EarlierError> {
-        let mut earlier = Self::default();
+        let mut earlier = Self { folder: folder(session), ..Self::default() };
         let pairs = session.pairs()?;
         for (done, record) in pairs.iter().enumerate() {
             progress.check()?;
@@ -98,7 +102,7 @@ impl Earlier {
             self.files.entry(frame.blake3.clone()).or_insert((role, record.number));
         }
         if record.verdict == Verdict::Accepted {
-            self.stops.extend(stop);
+            self.stops.extend(stop.map(|stop| (stop.key(), record.number)));
             self.energies.extend(record.flash.as_ref().and_then(|f| f.energy_counts).filter(|e| *e > 0.0));
         }
     }
@@ -114,7 +118,7 @@ impl Earlier {
     ) -> Expected<'a> {
         let usual = median(&self.energies);
         Expected {
-            earlier: &self.stops,
+            earlier: Some(self),
             energy: energy.zip(usual).map(|(counts, usual)| EnergyExpectation { counts, usual }),
             files: Some(Files {
                 off,
@@ -125,6 +129,32 @@ impl Earlier {
             ..Expected::default()
         }
     }
+}
+
+/// Only the gists are kept in memory; a signature that may match is read from the disk.
+impl EarlierStops for Earlier {
+    fn candidates(&self, stop: &Stop) -> Vec<Stop> {
+        let key = stop.key();
+        let alike = self.stops.iter().filter(|(other, _)| other.may_match(&key));
+        alike
+            .filter_map(|(_, number)| {
+                let path = self.folder.join(file_name(*number));
+                let found = std::fs::read(&path).map_err(|e| e.to_string());
+                let found = found.and_then(|b| serde_json::from_slice(&b).map_err(|e| e.to_string()));
+                match found {
+                    Ok(StopFile { stop, .. }) => stop,
+                    Err(error) => {
+                        tracing::warn!("{}: {error}; this pair is not held against it", path.display());
+                        None
+                    }
+                }
+            })
+            .collect()
+    }
+}
+
+fn file_name(number: u32) -> String {
+    format!("{number:04}.json")
 }
 
 fn median(values: &[f64]) -> Option<f64> {
@@ -138,7 +168,7 @@ fn folder(session: &Session) -> PathBuf {
 }
 
 fn file(session: &Session, record: &PairRecord) -> PathBuf {
-    folder(session).join(format!("{:04}.json", record.number))
+    folder(session).join(file_name(record.number))
 }
 
 /// The signature kept of a pair; `None` if there is none of these two files by this method.
