@@ -21,6 +21,8 @@ const SECOND_FILE_AT_MOST: Duration = Duration::from_secs(4);
 
 /// Share of the exposure on the dial that surely passes: labels are rounded (1/15 s lasts 1/16 s).
 const SURELY: f64 = 0.9;
+/// Exposures shorter than this tell nothing: the camera's own delays are as long.
+const TOO_SHORT_TO_TELL: Duration = Duration::from_millis(50);
 
 /// What is known of a release when the shutter goes.
 #[derive(Clone, Copy)]
@@ -66,7 +68,7 @@ impl Harvest {
             jpeg: None,
             expected: files,
             owed,
-            earliest: began + exposure.mul_f64(SURELY),
+            earliest: began + exposure.mul_f64(SURELY).saturating_sub(TOO_SHORT_TO_TELL),
             exposed: began + exposure,
             left_out: 0,
             busy: false,
