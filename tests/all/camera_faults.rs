@@ -7,7 +7,7 @@ use std::fmt::Write;
 use std::time::{Duration, Instant};
 use unlit::rig::camera::{Deadlines, HostedCamera, Target};
 use unlit::rig::{Camera, CameraError, Shot};
-use unlit::studio::camera::{Fault, Late};
+use unlit::studio::camera::{BodyOptions, Fault, Files, Late};
 
 /// One fault and what it may cost.
 struct Row {
@@ -282,4 +282,43 @@ fn an_unplugged_camera_asks_for_hands_in_words() {
     let error = camera.recover().unwrap_err();
     assert!(matches!(error, CameraError::Stuck { .. }), "{error}");
     assert!(error.to_string().contains("switch it off and on"), "{error}");
+}
+
+#[test]
+fn late_files_of_raw_and_jpeg_are_never_mixed_with_those_of_the_next_release() {
+    for jpeg_first in [false, true] {
+        for late in [Late::NextClient, Late::NextRelease, Late::After(Duration::from_secs(12))] {
+            let options = BodyOptions { files: Files::RawAndJpeg, jpeg_first, ..BodyOptions::default() };
+            let studio = Studio::with(&options);
+            let mut camera = studio.camera();
+            camera.shoot().unwrap();
+            studio.server.fault(Fault::LateObject(late));
+            for _ in 0..3 {
+                let (shot, codes) = shoot_through(&mut camera);
+                eprintln!("jpeg first {jpeg_first}, {late:?}: {codes:?}");
+                let last = blob(studio.frames() - 1);
+                assert!(shot.raw.bytes == last, "{late:?}: the raw is of another release");
+                assert!(shot.jpeg.is_some(), "{late:?}: a release makes two files");
+            }
+            assert_eq!(studio.server.frames_waiting(), 0);
+        }
+    }
+}
+
+#[test]
+fn live_view_of_a_lost_camera_fails_at_once_and_recovering_brings_it_back() {
+    let studio = Studio::new();
+    let short = Deadlines { other: Duration::from_secs(1), ..Deadlines::default() };
+    let mut camera = studio.camera_with(short);
+    studio.server.fault(Fault::Stall);
+    camera.preview().unwrap_err();
+    assert_eq!(camera.host_id(), None);
+    let began = Instant::now();
+    let error = camera.preview().unwrap_err();
+    assert!(matches!(error, CameraError::Lost { .. }), "{error}");
+    assert!(began.elapsed() < Duration::from_millis(200), "took {:?}", began.elapsed());
+    assert_eq!(camera.host_id(), None, "no host was started for it");
+    studio.server.mend();
+    camera.recover().unwrap();
+    camera.preview().unwrap();
 }

@@ -110,3 +110,24 @@ fn a_plug_pulled_in_the_middle_of_a_download_costs_that_frame_alone() {
     camera.recover().unwrap();
     assert!(camera.shoot().unwrap().raw.bytes == blob(2), "never the frame of the release before");
 }
+
+#[test]
+fn a_camera_that_left_while_nobody_used_it_is_not_said_to_be_there() {
+    let bus = Bus::new();
+    let server = bus.plug_in("001,004", "000000000042");
+    let mut camera = bus.open(None).unwrap();
+    camera.info().unwrap();
+    server.unplug();
+    let until = Instant::now() + Duration::from_secs(8);
+    let error = loop {
+        match camera.info() {
+            Err(error) => break error,
+            Ok(_) => assert!(Instant::now() < until, "it is still said to be there"),
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    };
+    eprintln!("left the bus: {error}");
+    assert!(error.may_pass(), "{error}");
+    server.replug().unwrap();
+    assert_eq!(camera.info().unwrap().serial.as_deref(), Some("000000000042"));
+}

@@ -34,6 +34,8 @@ const BUSY_PAUSE: Duration = Duration::from_millis(250);
 const AWAY_AT_MOST: Duration = Duration::from_secs(5);
 /// Pause between two looks at the bus.
 const LOOK_PAUSE: Duration = Duration::from_millis(250);
+/// An answer younger than this shows that the camera is there.
+const FRESH: Duration = Duration::from_secs(3);
 /// Bytes at a file's end that tell two frames apart: sensor noise never repeats.
 const TELLING_TAIL: usize = 64 << 10;
 
@@ -45,10 +47,14 @@ pub struct HostedCamera {
     target: Target,
     host: Option<Process>,
     info: Option<CameraInfo>,
+    /// Model by which libgphoto2 lists it; not always the name that the body gives itself.
+    listed_as: String,
+    /// When it answered last.
+    heard: Instant,
     /// The last host was killed or lost its camera: the next one may need more than opening.
     wounded: bool,
-    /// The shutter was released, and no frame came: it may still come.
-    frame_owed: bool,
+    /// Files of releases that were given up, which may still come.
+    files_owed: usize,
     /// Tells the last frame from others.
     last_frame: Option<blake3::Hash>,
 }
@@ -80,8 +86,10 @@ impl HostedCamera {
             target,
             host: None,
             info: None,
+            listed_as: String::new(),
+            heard: Instant::now(),
             wounded: false,
-            frame_owed: false,
+            files_owed: 0,
             last_frame: None,
         };
         camera.restart()?;
@@ -107,14 +115,35 @@ impl HostedCamera {
         self.host.as_mut().ok_or_else(|| CameraError::Host("it is not running".into()))
     }
 
-    /// Starts a host on `port` and opens the camera in it; gives who it says it is.
-    fn open_on(&mut self, port: &str) -> Result<(Process, CameraInfo), CameraError> {
-        let request = Request::Open { target: self.target, frame_owed: self.frame_owed };
-        let mut host = self.launch.start(Some(port))?;
+    /// Starts a host on `port`, opens the camera in it and, if it is ours, makes it ready. Another one is left as it
+    /// is, and no answer is given. `alone` says that no other of its model can be on that port.
+    fn open_on(&mut self, port: &str, alone: bool) -> Result<Option<Opened>, CameraError> {
         let began = Instant::now();
-        match host.ask(&request, self.deadlines.open) {
-            Ok((Reply::Opened(info), _)) => Ok((host, info)),
-            Ok((Reply::Failed { trouble, reason }, _)) => {
+        let host = self.launch.start(Some(port))?;
+        let (host, info, listed_as) = match self.ask_new(host, port, &Request::Open, began)? {
+            (host, Reply::Opened { info, listed_as }) => (host, info, listed_as),
+            (_, other) => return Err(out_of_turn(&other)),
+        };
+        if self.info.as_ref().is_some_and(|mine| !is_same(mine, &info, alone)) {
+            return Ok(None);
+        }
+        let prepare = Request::Prepare { target: self.target, files_owed: self.files_owed };
+        match self.ask_new(host, port, &prepare, began)? {
+            (host, Reply::Prepared { files_owed }) => Ok(Some(Opened { host, info, listed_as, files_owed })),
+            (_, other) => Err(out_of_turn(&other)),
+        }
+    }
+
+    /// Asks a host that is not settled yet, and ends it if that fails; `began` is when the opening began.
+    fn ask_new(
+        &self,
+        mut host: Process,
+        port: &str,
+        request: &Request,
+        began: Instant,
+    ) -> Result<(Process, Reply), CameraError> {
+        match host.ask(request, self.deadlines.open.saturating_sub(began.elapsed())) {
+            Ok((Reply::Failed { trouble, reason, .. }, _)) => {
                 host.kill();
                 let hint = format!(" on {port} ({reason})");
                 Err(match trouble {
@@ -123,7 +152,7 @@ impl HostedCamera {
                     trouble => self.error("open", trouble, reason, began.elapsed()),
                 })
             }
-            Ok((other, _)) => Err(out_of_turn(&other)),
+            Ok((reply, _)) => Ok((host, reply)),
             Err(AskError::Deadline) => {
                 host.kill();
                 Err(CameraError::Deadline { operation: "open".into(), deadline: self.deadlines.open })
@@ -132,15 +161,12 @@ impl HostedCamera {
         }
     }
 
-    /// Whether whoever is on a port now is the camera that was opened first.
-    fn is_same(&self, found: &CameraInfo) -> bool {
-        self.info.as_ref().is_none_or(|mine| mine.model == found.model && mine.serial == found.serial)
-    }
-
-    fn settle(&mut self, host: Process, info: CameraInfo) {
+    fn settle(&mut self, opened: Opened) {
+        let Opened { host, info, listed_as, files_owed } = opened;
         self.port.clone_from(&info.port);
-        self.host = Some(host);
-        self.info = Some(info);
+        (self.host, self.info, self.listed_as) = (Some(host), Some(info), listed_as);
+        self.files_owed = files_owed;
+        self.heard = Instant::now();
         self.wounded = false;
     }
 
@@ -178,6 +204,27 @@ impl HostedCamera {
         }
     }
 
+    /// Asks the host that runs, once: whatever is wrong is told at once, and nothing is brought back.
+    fn ask_only(
+        &mut self,
+        operation: &str,
+        request: &Request,
+        deadline: Duration,
+    ) -> Result<(Reply, Vec<u8>), CameraError> {
+        let began = Instant::now();
+        if !self.runs() {
+            self.host = None;
+        }
+        let Some(host) = &mut self.host else {
+            return Err(CameraError::Lost {
+                operation: operation.into(),
+                reason: "its driver was stopped by an earlier failure".into(),
+            });
+        };
+        let answer = host.ask(request, deadline);
+        self.sort(operation, answer, began, deadline)
+    }
+
     /// Sorts what came, or did not come; a host that cannot go on is killed.
     fn sort(
         &mut self,
@@ -187,13 +234,17 @@ impl HostedCamera {
         deadline: Duration,
     ) -> Result<(Reply, Vec<u8>), CameraError> {
         match answer {
-            Ok((Reply::Failed { trouble, reason }, _)) => {
+            Ok((Reply::Failed { trouble, reason, .. }, _)) => {
+                self.heard = Instant::now();
                 if matches!(trouble, Trouble::Silent | Trouble::Lost | Trouble::NotFound) {
                     self.kill();
                 }
                 Err(self.error(operation, trouble, reason, began.elapsed()))
             }
-            Ok(answer) => Ok(answer),
+            Ok(answer) => {
+                self.heard = Instant::now();
+                Ok(answer)
+            }
             Err(AskError::Deadline) => {
                 self.kill();
                 Err(CameraError::Deadline { operation: operation.into(), deadline })
@@ -235,6 +286,9 @@ impl HostedCamera {
         loop {
             let host = self.host.as_mut().ok_or_else(|| CameraError::Host("it is not running".into()))?;
             let frame = host.hear(until);
+            if let Ok((Reply::Failed { files_owed: Some(owed), .. }, _)) = &frame {
+                self.files_owed = *owed;
+            }
             match self.sort(SHOOT, frame, began, deadline)? {
                 (Reply::Frame(name), bytes) if raw.is_none() => raw = Some(ShotFile { name, bytes }),
                 (Reply::Frame(name), bytes) => jpeg = Some(ShotFile { name, bytes }),
@@ -258,6 +312,24 @@ impl HostedCamera {
     }
 }
 
+/// A camera opened in a host, and ready.
+struct Opened {
+    host: Process,
+    info: CameraInfo,
+    listed_as: String,
+    files_owed: usize,
+}
+
+/// Whether whoever was found is the camera that was opened first. Without serial numbers only one that is `alone`
+/// is taken for it.
+fn is_same(mine: &CameraInfo, found: &CameraInfo, alone: bool) -> bool {
+    mine.model == found.model
+        && match (&mine.serial, &found.serial) {
+            (None, None) => alone,
+            (mine, found) => mine == found,
+        }
+}
+
 const SHOOT: &str = "take a picture";
 
 impl Patient for HostedCamera {
@@ -274,11 +346,11 @@ impl Patient for HostedCamera {
             host.kill();
         }
         let port = self.port.clone();
-        let (host, info) = self.open_on(&port)?;
-        if !self.is_same(&info) {
-            return Err(CameraError::Unplugged { port });
+        // Whoever is plugged in anew gets an address of its own, so that nobody else is expected at this one.
+        match self.open_on(&port, true)? {
+            Some(opened) => self.settle(opened),
+            None => return Err(CameraError::Unplugged { port }),
         }
-        self.settle(host, info);
         Ok(())
     }
 
@@ -289,13 +361,16 @@ impl Patient for HostedCamera {
     fn find_again(&mut self) -> Result<String, CameraError> {
         let until = Instant::now() + AWAY_AT_MOST;
         loop {
-            for found in list_with(&self.launch)? {
-                match self.open_on(&found.port) {
-                    Ok((host, info)) if self.is_same(&info) => {
-                        self.settle(host, info);
+            let mut found = list_with(&self.launch)?;
+            found.retain(|camera| camera.model == self.listed_as);
+            let alone = found.len() == 1;
+            for found in found {
+                match self.open_on(&found.port, alone) {
+                    Ok(Some(opened)) => {
+                        self.settle(opened);
                         return Ok(self.port.clone());
                     }
-                    Ok(_) => {}
+                    Ok(None) => tracing::debug!("{} is another camera", found.port),
                     Err(error) => tracing::debug!("{} is not the camera looked for: {error}", found.port),
                 }
             }
@@ -319,6 +394,17 @@ impl Patient for HostedCamera {
 impl Camera for HostedCamera {
     fn info(&mut self) -> Result<CameraInfo, CameraError> {
         self.connect()?;
+        // A host that idles does not notice that its camera has gone.
+        if self.heard.elapsed() >= FRESH {
+            match self.ask_only("tell whether it is there", &Request::Greet, self.deadlines.other) {
+                Ok((Reply::Done, _)) | Err(CameraError::Busy(_)) => {}
+                Ok((other, _)) => return Err(out_of_turn(&other)),
+                Err(error) => {
+                    self.kill();
+                    return Err(error);
+                }
+            }
+        }
         self.info.clone().ok_or_else(|| CameraError::NotFound { hint: format!(" on {}", self.port) })
     }
 
@@ -356,7 +442,8 @@ impl Camera for HostedCamera {
     }
 
     fn preview(&mut self) -> Result<Vec<u8>, CameraError> {
-        match self.ask("show a live picture", &Request::Preview, self.deadlines.other)? {
+        // Live view asks again and again: climbing the ladder each time would hold the rig for seconds.
+        match self.ask_only("show a live picture", &Request::Preview, self.deadlines.other)? {
             (Reply::Preview, bytes) => Ok(bytes),
             (other, _) => Err(out_of_turn(&other)),
         }
@@ -380,12 +467,18 @@ impl Camera for HostedCamera {
     fn shoot(&mut self) -> Result<Shot, CameraError> {
         let began = Instant::now();
         // The host gives up a little earlier than it would be killed, while it can still say why.
-        let request = Request::Shoot { patience: self.deadlines.shot.mul_f64(0.9) };
+        let patience = self.deadlines.shot.mul_f64(0.9);
         let until_release = self.deadlines.shot.min(self.deadlines.other);
         let mut tries = 1;
         let mut shot = loop {
+            // Opening the camera may bring in some of what is owed, and must come before it is told what is.
+            self.connect()?;
+            let request = Request::Shoot { patience, files_owed: self.files_owed };
             let exposure = match self.ask(SHOOT, &request, until_release)? {
-                (Reply::Releasing { exposure }, _) => exposure,
+                (Reply::Releasing { exposure, files_owed }, _) => {
+                    self.files_owed = files_owed;
+                    exposure
+                }
                 (other, _) => return Err(out_of_turn(&other)),
             };
             match self.bring_in(exposure.unwrap_or(UNKNOWN_EXPOSURE) + self.deadlines.shot) {
@@ -395,15 +488,34 @@ impl Camera for HostedCamera {
                     tries += 1;
                     std::thread::sleep(BUSY_PAUSE);
                 }
-                Err(error) => {
-                    self.frame_owed |= self.host.is_none();
-                    return Err(error);
-                }
+                Err(error) => return Err(error),
             }
         };
-        self.frame_owed = false;
+        // The frame of another release leaves this one's owed.
         self.note_frame(&shot.raw.bytes)?;
+        self.files_owed = 0;
         shot.times = ShotTimes { total: began.elapsed(), ..shot.times };
         Ok(shot)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera(model: &str, serial: Option<&str>) -> CameraInfo {
+        CameraInfo { model: model.into(), port: "usb:001,004".into(), serial: serial.map(str::to_owned) }
+    }
+
+    #[test]
+    fn a_camera_is_known_by_model_and_serial_and_without_one_only_when_it_is_alone() {
+        let (mine, dumb) = (camera("5DS", Some("42")), camera("5DS", None));
+        for alone in [false, true] {
+            assert!(is_same(&mine, &mine, alone));
+            assert!(!is_same(&mine, &camera("5DS", Some("77")), alone));
+            assert!(!is_same(&mine, &dumb, alone), "it told its number before");
+            assert!(!is_same(&mine, &camera("5DS R", Some("42")), alone));
+            assert_eq!(is_same(&dumb, &dumb, alone), alone);
+        }
     }
 }

@@ -24,13 +24,17 @@ pub(super) enum Request {
     Library,
     /// Cameras that can be found without knowing their port.
     List,
-    /// Connect to the camera on the host's port, and get rid of whatever it still holds.
-    Open {
+    /// Connect to the camera on the host's port, and tell who it is. Nothing is changed in it.
+    Open,
+    /// Make the open camera ours: get rid of whatever it still holds.
+    Prepare {
         /// Where its frames shall go.
         target: Target,
-        /// A frame was released for a host that is gone: it may still come, and must not be taken for another.
-        frame_owed: bool,
+        /// Files of releases that were given up: they may still come, and must not be taken for others.
+        files_owed: usize,
     },
+    /// Ask the camera something small, to see whether it is there.
+    Greet,
     /// Settings as the camera reports them.
     Settings,
     /// What the dials offer.
@@ -47,6 +51,8 @@ pub(super) enum Request {
     Shoot {
         /// How long the camera may take beyond the exposure.
         patience: Duration,
+        /// As in [`Request::Prepare`].
+        files_owed: usize,
     },
 }
 
@@ -71,12 +77,22 @@ pub(super) enum Reply {
     /// To [`Request::List`].
     Cameras(Vec<CameraInfo>),
     /// To [`Request::Open`].
-    Opened(CameraInfo),
+    Opened {
+        /// Who it says it is.
+        info: CameraInfo,
+        /// Model by which [`Request::List`] names it.
+        listed_as: String,
+    },
+    /// To [`Request::Prepare`].
+    Prepared {
+        /// Files of earlier releases that may still come.
+        files_owed: usize,
+    },
     /// To [`Request::Settings`].
     Settings(Settings),
     /// To [`Request::Offered`].
     Offered(Offered),
-    /// To [`Request::Set`] and [`Request::EndPreview`].
+    /// To [`Request::Set`], [`Request::EndPreview`] and [`Request::Greet`].
     Done,
     /// To [`Request::Lock`].
     Locked(LockReport),
@@ -86,6 +102,8 @@ pub(super) enum Reply {
     Releasing {
         /// Exposure time that its dial shows.
         exposure: Option<Duration>,
+        /// Files that may still come if it is given up now: those of this release and of earlier ones.
+        files_owed: usize,
     },
     /// To [`Request::Shoot`]: the payload is a file of this name, the raw first.
     Frame(String),
@@ -97,6 +115,8 @@ pub(super) enum Reply {
         trouble: Trouble,
         /// What the driver said.
         reason: String,
+        /// Files that may still come, if a camera is open.
+        files_owed: Option<usize>,
     },
 }
 

@@ -29,18 +29,19 @@ pub(super) struct Body {
     pub(super) context: Context,
     pub(super) camera: Camera,
     port: String,
+    /// Model by which libgphoto2 lists it; not always the name that the body gives itself.
+    pub(super) listed_as: String,
     /// Names of the settings that this camera has. libgphoto2 2.5.30 answers "fine" and gives an
     /// uninitialised widget when asked for one that it has not, so no other name may ever be asked for.
     names: HashSet<String>,
-    target: Target,
     live: bool,
-    /// The frame of a release that was given up may still come.
-    pub(super) frame_owed: bool,
+    /// Files of releases that were given up, which may still come.
+    pub(super) files_owed: usize,
 }
 
 impl Body {
-    /// Connects, and tells the camera where its frames shall go.
-    pub(super) fn connect(context: &Context, port: &str, target: Target) -> Answer<Self> {
+    /// Connects, and changes nothing.
+    pub(super) fn connect(context: &Context, port: &str) -> Answer<Self> {
         let descriptor = if port.starts_with("ptpip:") {
             CameraDescriptor { model: "PTP/IP Camera".into(), port: port.into() }
         } else {
@@ -52,16 +53,14 @@ impl Body {
         let mut names = HashSet::new();
         // Connecting is lazy; this is the first thing that needs the camera.
         collect_names(&camera.config().wait()?, &mut names)?;
-        let (context, port) = (context.clone(), port.into());
-        let body = Self { context, camera, port, names, target, live: false, frame_owed: false };
-        body.send_frames_to_target()?;
-        Ok(body)
+        let (context, port, listed_as) = (context.clone(), port.into(), descriptor.model);
+        Ok(Self { context, camera, port, listed_as, names, live: false, files_owed: 0 })
     }
 
     /// Canon, Nikon and Sony bodies keep frames in memory or on a card, as they are told; others have no choice.
-    fn send_frames_to_target(&self) -> Answer<()> {
+    pub(super) fn send_frames_to(&self, wanted: Target) -> Answer<()> {
         if let Some(target) = self.radio("capturetarget")? {
-            let wanted = match self.target {
+            let wanted = match wanted {
                 Target::Memory => "Internal RAM",
                 Target::Card => "Memory card",
             };

@@ -62,7 +62,8 @@ pub fn run(port: Option<&str>) -> Result<(), HostError> {
             Ok(()) => {}
             Err(Stop::Failed(failure)) => {
                 let Failure { trouble, reason } = failure.explained_by(&log::take());
-                protocol::send(&mut link, &Reply::Failed { trouble, reason }, &[])?;
+                let files_owed = host.open.as_ref().map(|body| body.files_owed);
+                protocol::send(&mut link, &Reply::Failed { trouble, reason, files_owed }, &[])?;
             }
             Err(Stop::Link(error)) => return Err(error.into()),
         }
@@ -117,12 +118,21 @@ impl Host {
                 let info = |c: CameraDescriptor| CameraInfo { model: c.model, port: c.port, serial: None };
                 (Reply::Cameras(cameras.map(info).collect()), Vec::new())
             }
-            Request::Open { target, frame_owed } => {
+            Request::Open => {
                 let context = self.context()?;
                 let port = self.port.clone().ok_or_else(|| Failure::refused("the host has no port"))?;
-                let body = self.open.insert(Body::connect(&context, &port, *target)?);
-                body.clear(*frame_owed)?;
-                (Reply::Opened(body.info()?), Vec::new())
+                let body = self.open.insert(Body::connect(&context, &port)?);
+                (Reply::Opened { info: body.info()?, listed_as: body.listed_as.clone() }, Vec::new())
+            }
+            Request::Prepare { target, files_owed } => {
+                let body = self.open()?;
+                body.send_frames_to(*target)?;
+                body.clear(*files_owed)?;
+                (Reply::Prepared { files_owed: body.files_owed }, Vec::new())
+            }
+            Request::Greet => {
+                self.open()?.exposure()?;
+                (Reply::Done, Vec::new())
             }
             Request::Settings => (Reply::Settings(self.open()?.settings()?), Vec::new()),
             Request::Offered => (Reply::Offered(self.open()?.offered()?), Vec::new()),
@@ -136,11 +146,12 @@ impl Host {
                 self.open()?.end_live()?;
                 (Reply::Done, Vec::new())
             }
-            Request::Shoot { patience } => {
+            Request::Shoot { patience, files_owed } => {
                 let body = self.open()?;
-                let exposure = body.get_ready()?;
-                protocol::send(link, &Reply::Releasing { exposure }, &[]).map_err(Stop::Link)?;
-                let shot = body.release(exposure, *patience)?;
+                let ready @ (exposure, files) = body.get_ready(*files_owed)?;
+                let files_owed = body.files_owed + files;
+                protocol::send(link, &Reply::Releasing { exposure, files_owed }, &[]).map_err(Stop::Link)?;
+                let shot = body.release(ready, *patience)?;
                 for file in [Some(shot.raw), shot.jpeg].into_iter().flatten() {
                     protocol::send(link, &Reply::Frame(file.name), &file.bytes).map_err(Stop::Link)?;
                 }

@@ -6,7 +6,7 @@
 
 use super::body::Body;
 use super::failure::{Answer, Failure};
-use super::harvest::Harvest;
+use super::harvest::{Harvest, Release};
 use crate::rig::camera::protocol::Trouble;
 use crate::rig::{Shot, ShotFile, ShotTimes};
 use gphoto2::camera::CameraEvent;
@@ -31,13 +31,13 @@ const FOCUS: &[&str] = &["focusmode", "focusmode2"];
 const BUSY_WORD: &str = "Camera Status 1";
 
 impl Body {
-    /// Gets rid of whatever the camera still holds for the computer. With `frame_owed`, a frame that a former
-    /// host released is waited for a while.
-    pub(super) fn clear(&mut self, frame_owed: bool) -> Answer<()> {
+    /// Gets rid of whatever the camera still holds for the computer. So many files of earlier releases are waited
+    /// for a while.
+    pub(super) fn clear(&mut self, files_owed: usize) -> Answer<()> {
         let until = Instant::now() + OWED_AT_MOST;
-        self.frame_owed = frame_owed;
+        self.files_owed = files_owed;
         self.drain()?;
-        while self.frame_owed && Instant::now() < until {
+        while self.files_owed > 0 && Instant::now() < until {
             std::thread::sleep(PAUSE);
             self.drain()?;
         }
@@ -51,7 +51,7 @@ impl Body {
             match self.camera.wait_event(Duration::ZERO).wait() {
                 Ok(CameraEvent::Timeout) => break,
                 Ok(CameraEvent::NewFile(path)) => {
-                    self.frame_owed = false;
+                    self.files_owed = self.files_owed.saturating_sub(1);
                     tracing::warn!("{} is of an earlier release and is left out", path.name());
                     self.forget(&path)?;
                 }
@@ -63,23 +63,33 @@ impl Body {
         Ok(())
     }
 
-    /// Makes sure that nothing stale waits and that no live view runs; gives the exposure time on the dial.
-    pub(super) fn get_ready(&mut self) -> Answer<Option<Duration>> {
+    /// Makes sure that nothing stale waits and that no live view runs; gives the exposure time on the dial, and how
+    /// many files the release will make.
+    pub(super) fn get_ready(&mut self, files_owed: usize) -> Answer<(Option<Duration>, usize)> {
+        self.files_owed = files_owed;
         self.end_live()?;
-        let exposure = self.exposure()?;
+        let ready = (self.exposure()?, self.files_a_release()?);
         self.drain()?;
-        Ok(exposure)
+        Ok(ready)
     }
 
     /// Releases the shutter once and brings its files; returns when the camera is ready for the next.
-    pub(super) fn release(&mut self, exposure: Option<Duration>, patience: Duration) -> Answer<Shot> {
-        let expected = self.files_a_release()?;
+    pub(super) fn release(
+        &mut self,
+        (exposure, files): (Option<Duration>, usize),
+        patience: Duration,
+    ) -> Answer<Shot> {
         let began = Instant::now();
         self.camera.trigger_capture().wait().map_err(|error| self.why_not(error.into()))?;
         let until = began + exposure.unwrap_or(UNKNOWN_EXPOSURE) + patience;
-        let owed = std::mem::take(&mut self.frame_owed);
-        let harvest = Harvest::new(expected, owed, Instant::now());
-        self.bring_in(harvest, began, until).map_err(Failure::after_release)
+        let owed = self.files_owed;
+        let mut harvest = Harvest::new(Release { files, owed, exposure, began });
+        let times = self.bring_in(&mut harvest, began, until);
+        self.files_owed = harvest.owed_if_given_up(Instant::now());
+        let times = times.map_err(Failure::after_release)?;
+        let (raw, jpeg) = harvest.files_in()?;
+        self.files_owed = 0;
+        Ok(Shot { raw, jpeg, times })
     }
 
     /// Why a camera that answers did not release: the library often says no more than "unspecified".
@@ -100,7 +110,7 @@ impl Body {
         }
     }
 
-    fn bring_in(&mut self, mut harvest: Harvest, began: Instant, until: Instant) -> Answer<Shot> {
+    fn bring_in(&mut self, harvest: &mut Harvest, began: Instant, until: Instant) -> Answer<ShotTimes> {
         let mut times = ShotTimes::default();
         let mut last_byte = began;
         loop {
@@ -114,7 +124,7 @@ impl Body {
                     let file = self.fetch(&path)?;
                     last_byte = Instant::now();
                     times.transfer += last_byte - named;
-                    harvest.take(file, last_byte)?;
+                    harvest.take(file, asked, last_byte)?;
                 }
                 Ok(CameraEvent::CaptureComplete) => {
                     harvest.done = true;
@@ -131,7 +141,7 @@ impl Body {
                     harvest.heard(asked);
                 }
                 // The frame is whole and will not come again; whatever is wrong meets the next request.
-                Err(error) if harvest.finished_but_for_ready() => {
+                Err(error) if harvest.finished_but_for_ready(asked) => {
                     tracing::warn!("camera gave its files, then no word that it is ready: {error}");
                     break;
                 }
@@ -145,14 +155,21 @@ impl Body {
                 let reason = "it announced the frame but could not give it";
                 return Err(Failure::new(Trouble::Lost, reason));
             }
+            if harvest.in_vain(now) {
+                let reason = "all that came came before its exposure can have ended";
+                return Err(Failure::new(Trouble::Untrusted, reason));
+            }
             if now > until {
+                if harvest.finished_but_for_ready(now) {
+                    tracing::warn!("camera gave its files, then no word that it is ready");
+                    break;
+                }
                 let reason = format!("no frame came within {:.1?} of the release", now - began);
                 return Err(Failure::new(Trouble::Silent, reason));
             }
         }
         times.until_ready = last_byte.elapsed();
-        let (raw, jpeg) = harvest.files_in()?;
-        Ok(Shot { raw, jpeg, times })
+        Ok(times)
     }
 
     /// Downloads a file, whole. A frame in the camera's memory is forgotten there, or the memory would fill up;

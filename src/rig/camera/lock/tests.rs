@@ -152,6 +152,20 @@ fn raw_with_jpeg_is_left_as_it_is_and_small_raw_is_not() {
 }
 
 #[test]
+fn lossy_raw_of_a_canon_is_set_to_raw_or_warned_about() {
+    let mut camera = canon().with("imageformat", "cRAW");
+    assert_eq!(item(&report(&mut camera, "Canon", "x"), "raw_compression").0, LockState::Corrected);
+    assert_eq!(camera.settings["imageformat"].value, "RAW");
+    let mut camera = canon().with("imageformat", "cRAW + Large Fine JPEG");
+    camera.deaf.push("imageformat");
+    let report = report(&mut camera, "Canon", "x");
+    let (state, sentence) = item(&report, "raw_compression");
+    assert_eq!(state, LockState::Warning);
+    assert!(sentence.contains("lossy"), "{sentence}");
+    assert!(report.sentences(LockState::Wrong).is_empty(), "pairs can be shot: {report:?}");
+}
+
+#[test]
 fn a_camera_that_does_not_obey_is_found_out_by_reading_back() {
     let mut camera = canon().with("drivemode", "Continuous");
     camera.deaf.push("drivemode");
