@@ -47,12 +47,14 @@ pub struct Stop {
 }
 
 /// Blocks of a key across and down.
-const KEY: [usize; 2] = [6, 4];
+const KEY: [usize; 2] = [12, 8];
 /// Key value of a block as bright as the frame's mean; four times as bright is full.
 const KEY_MEAN: f32 = 64.0;
 /// Share of itself, and key values beyond it, by which a block of one stop's two pairs may differ: far more than
 /// the signatures themselves may, so that no match is passed over.
-const KEY_TOLERANCE: (f32, f32) = (0.3, 6.0);
+const KEY_TOLERANCE: (f32, f32) = (0.2, 6.0);
+/// Blocks that may differ by more: what little may change at one stop can lie in a block or two.
+const KEY_MISSES: usize = 2;
 
 /// The gist of a signature, small enough to keep of every pair: where it differs, the stops do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,10 +63,9 @@ pub struct StopKey([u8; KEY[0] * KEY[1]]);
 impl StopKey {
     /// Whether the stops may be the same one.
     pub fn may_match(&self, other: &StopKey) -> bool {
-        self.0.iter().zip(&other.0).all(|(&a, &b)| {
-            let (a, b) = (f32::from(a), f32::from(b));
-            (a - b).abs() <= KEY_TOLERANCE.0 * a.max(b) + KEY_TOLERANCE.1
-        })
+        let differ = |(a, b): (f32, f32)| (a - b).abs() > KEY_TOLERANCE.0 * a.max(b) + KEY_TOLERANCE.1;
+        let blocks = self.0.iter().zip(&other.0).map(|(&a, &b)| (f32::from(a), f32::from(b)));
+        blocks.filter(|block| differ(*block)).count() <= KEY_MISSES
     }
 }
 
