@@ -3,7 +3,7 @@
 //!
 //! Takes a frame with its settings, gives it a saturation from the best source there is: the session's own table
 //! (measured from blown frames), then the file's tag, then the built-in table (published measurements, in
-//! `saturation.json`), then the decoder's value less a margin. [`Spike::measure`] makes an entry out of one
+//! `saturation.json`), then the decoder's value less a margin. [`measure`] makes an entry out of one
 //! deliberately blown frame: clipped sites pile up in one spike of the histogram.
 
 use super::{LevelSource, Mosaic};

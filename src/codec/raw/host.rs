@@ -1,9 +1,9 @@
 //! The decode host: a process that decodes one raw file with `rawler` and ends.
 //!
 //! `rawler` knows more cameras than `rawloader`, and was seen to ask for 4 GiB because a file said so, which ends
-//! a process. So it runs in one of its own, under limits that the system enforces: [`MEMORY`] over and above the
-//! file, [`CPU_SECONDS`] of processor time. Takes the file on standard input, gives the answer on standard output
-//! (see [`super::wire`]); whatever goes wrong there is words in the parent.
+//! a process. So it runs in one of its own, under limits that the system enforces: `MEMORY` over and above the
+//! file, `CPU_SECONDS` of processor time. Takes the file on standard input, gives the answer on standard output
+//! (see `wire`); whatever goes wrong there is words in the parent.
 //!
 //! Levels, as the library has them: `blacklevel` is by position from the sensor's first site and repeats,
 //! `whitelevel` is one value for all sites of a filter array, the filter array counts from the sensor's first site,

@@ -3,7 +3,7 @@
 //! [`HostedCamera`] starts `unlit camera-host` ([`host`]), which alone uses libgphoto2, and asks it over a
 //! local socket (`protocol`). libgphoto2 can hang for ever; a host that misses its deadline is killed. An answer
 //! "busy" is asked again a few times; whatever is worse goes up the ladder of `recover`, at the next call or when
-//! [`Camera::recover`] is called. What must stand still while pairs are shot is in the makers' tables of `lock`.
+//! [`super::Camera::recover`] is called. What must stand still while pairs are shot is in the makers' tables of `lock`.
 
 pub mod host;
 mod hosted;
