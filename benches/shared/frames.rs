@@ -5,6 +5,7 @@ use rand_distr::{Distribution, Normal};
 use unlit::codec::cr2::{self, Cr2Content};
 use unlit::pair::Settings;
 use unlit::raster::Image;
+use unlit::units::{FNumber, Iso, Seconds};
 
 /// A lit object before a dark wall as a 5DS's 52.7 MP CR2; `light` is a share of the usual light. A 5DS's noise: some 5 DN of read noise, and shot noise of 0.2 DN an electron.
 pub(crate) fn frame(light: f32) -> Vec<u8> {
@@ -26,6 +27,12 @@ pub(crate) fn frame(light: f32) -> Vec<u8> {
         let spread = (25.0 + 0.2 * light).sqrt();
         (2047.0 + light + spread * noise[at]).round().clamp(0.0, 15_283.0) as u16
     });
-    let settings = Settings { taken_at: Some("2026-05-04T10:00:04".into()), ..Settings::default() };
+    let settings = Settings {
+        shutter: Some(Seconds(1.0 / 125.0)),
+        aperture: Some(FNumber(11.0)),
+        iso: Some(Iso(100.0)),
+        taken_at: Some("2026-05-04T10:00:04".into()),
+        ..Settings::default()
+    };
     cr2::encode(&Cr2Content { sensor: &sensor, black: 2047, white: 15_283, settings: &settings }).unwrap()
 }
