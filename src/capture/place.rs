@@ -76,6 +76,8 @@ pub(super) trait Place {
     fn adopt(&mut self, plan: Plan) -> Result<(), PlaceError>;
     /// Where the object is in the frame; everywhere if `None`.
     fn region(&self) -> Option<Window>;
+    /// Whether the controller's photodiode has seen this flash before.
+    fn sees_light(&self) -> bool;
     /// Writes raws to the disk ahead, where the place takes them so.
     fn stager(&self) -> Option<Stager>;
     /// Saturation as it was measured for the session.
@@ -137,6 +139,10 @@ impl Place for PairPlace<'_> {
 
     fn region(&self) -> Option<Window> {
         self.session.manifest().region
+    }
+
+    fn sees_light(&self) -> bool {
+        self.earlier.sees_light()
     }
 
     fn stager(&self) -> Option<Stager> {
@@ -250,6 +256,7 @@ pub(super) struct CardPlace<'a> {
     saturation: Arc<SaturationTable>,
     name: String,
     tag: u32,
+    sees_light: bool,
     stored: Option<CalibrationShot>,
 }
 
@@ -261,8 +268,10 @@ impl<'a> CardPlace<'a> {
             .find(|name| !shots_dir(session).join(name).exists())
             .unwrap_or_default();
         let tag = u32::try_from(taken.len()).unwrap_or(u32::MAX - 1).saturating_add(1);
+        let sees_light =
+            taken.iter().filter_map(|shot| shot.flash.as_ref()?.energy_counts()).next().is_some();
         let saturation = Arc::new(saturation::load(session)?);
-        Ok(Self { session, distance_m, saturation, name, tag, stored: None })
+        Ok(Self { session, distance_m, saturation, name, tag, sees_light, stored: None })
     }
 
     /// The shot, once stored.
@@ -319,6 +328,10 @@ impl Place for CardPlace<'_> {
 
     fn region(&self) -> Option<Window> {
         None
+    }
+
+    fn sees_light(&self) -> bool {
+        self.sees_light
     }
 
     fn stager(&self) -> Option<Stager> {
