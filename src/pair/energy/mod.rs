@@ -39,9 +39,6 @@ pub enum ReferenceSource {
 pub struct Reference {
     /// Counts.
     pub counts: f64,
-    /// Standard error of `counts`, relative; absent where a single pulse or the session's median is the reference.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub deviation: Option<f64>,
     /// Where it comes from.
     pub source: ReferenceSource,
 }
@@ -86,20 +83,17 @@ pub fn reading_deviation<'a>(syncs: impl IntoIterator<Item = &'a FlashSync>, typ
 }
 
 impl EnergyScale {
-    /// From the controller's account of the session's accepted pairs; `calibration`: the reference energy of the
-    /// flash calibration, where its shots were measured; `agreement`: see [`EnergyScale::agreement`].
+    /// From the controller's account of the session's accepted pairs; `calibration`: the mean energy of the flash
+    /// calibration's shots in counts, where they were measured; `agreement`: see [`EnergyScale::agreement`].
     pub fn new<'a>(
         records: impl IntoIterator<Item = &'a FlashRecord> + Clone,
-        calibration: Option<Reference>,
+        calibration: Option<f64>,
         agreement: Option<f64>,
     ) -> Self {
         let energies: Vec<f64> = records.clone().into_iter().filter_map(FlashRecord::energy_counts).collect();
-        let of_session = median(&energies).map(|counts| Reference {
-            counts,
-            deviation: None,
-            source: ReferenceSource::Session,
-        });
-        let reference = calibration.or(of_session);
+        let of = |source| move |counts| Reference { counts, source };
+        let of_session = median(&energies).map(of(ReferenceSource::Session));
+        let reference = calibration.map(of(ReferenceSource::Calibration)).or(of_session);
         let dark = records.into_iter().flat_map(|record| &record.off);
         let typical = of_session.or(reference).map_or(0.0, |r| r.counts);
         let reading_deviation = reading_deviation(dark, typical);
@@ -169,9 +163,7 @@ pub(super) mod tests {
         let own = EnergyScale::new(&pairs, None, None);
         assert_eq!(own.reference.unwrap().source, ReferenceSource::Session);
         assert!((own.gain(Some(&pairs[0])).value - 1.02).abs() < 1e-9);
-        let calibration =
-            Reference { counts: 2.0e5, deviation: Some(1e-4), source: ReferenceSource::Calibration };
-        let tied = EnergyScale::new(&pairs, Some(calibration), Some(0.0004));
+        let tied = EnergyScale::new(&pairs, Some(2.0e5), Some(0.0004));
         let gain = tied.gain(Some(&pairs[1]));
         assert!((gain.value - 0.5).abs() < 1e-9);
         let reading = tied.reading_deviation / 2.0e5;

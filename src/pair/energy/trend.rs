@@ -106,6 +106,26 @@ pub struct Trend {
     pub advice: Vec<Advice>,
 }
 
+impl Trend {
+    /// The flash in one sentence.
+    pub fn words(&self) -> String {
+        let proven = self.pairs - self.misfires;
+        if self.pairs == 0 {
+            return "No flash controller has watched a pair of this session yet.".into();
+        }
+        let proof = format!("{proven} of {} pairs are proven dark and lit", self.pairs);
+        match (self.spread, self.pulses.last()) {
+            (Some(spread), Some(last)) => format!(
+                "{proof}; the flash varies by {:.2} %, measured to {:.2} % and divided out.",
+                100.0 * spread,
+                100.0 * last.deviation / last.gain
+            ),
+            (None, Some(_)) => format!("{proof}; one pulse is measured."),
+            (_, None) => format!("{proof}; no pulse's energy is measured."),
+        }
+    }
+}
+
 fn advice(code: AdviceCode, sentence: String) -> Advice {
     Advice { code, sentence }
 }
@@ -444,9 +464,7 @@ mod tests {
     fn an_energy_far_from_the_calibrations_asks_whether_the_photodiode_was_moved() {
         let pairs = session(&walk(5), |_, _, _| 1.0);
         let records: Vec<FlashRecord> = pairs.iter().filter_map(|p| p.flash.clone()).collect();
-        let source = super::super::ReferenceSource::Calibration;
-        let reference = super::super::Reference { counts: 1.3e5, deviation: None, source };
-        let trend = trend(&pairs, &EnergyScale::new(&records, Some(reference), None));
+        let trend = trend(&pairs, &EnergyScale::new(&records, Some(1.3e5), None));
         assert_eq!(codes(&trend), [AdviceCode::CalibrateAgain]);
     }
 }
