@@ -65,7 +65,7 @@ fn a_good_pair_is_accepted_whole_and_announced() {
     assert_eq!(pair.verdict, Verdict::Accepted, "{:?}", pair.reasons);
     assert_eq!(pair.number, 1);
     let flash = pair.flash.clone().unwrap();
-    assert_eq!((flash.pulses_off, flash.pulses_on, flash.energy_counts), (0, 1, Some(1000.0)));
+    assert_eq!((flash.pulses_off(), flash.pulses_on(), flash.energy_counts()), (0, 1, Some(1000.0)));
     assert!(shoot.session.originals_intact(&pair).unwrap());
     assert_eq!(shoot.session.pairs().unwrap(), [pair]);
     assert_eq!(room.log(), ["disarm", "shoot", "arm", "shoot", "disarm"]);

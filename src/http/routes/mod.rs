@@ -3,6 +3,7 @@
 mod camera;
 mod events;
 mod files;
+mod flash;
 mod jobs;
 mod pairs;
 mod processing;
@@ -47,6 +48,7 @@ pub(super) fn all() -> OpenApiRouter<App> {
         .routes(routes!(camera::set_region))
         .routes(routes!(camera::confirm))
         .routes(routes!(camera::histogram))
+        .routes(routes!(flash::account))
         .routes(routes!(events::listen))
         .routes(routes!(files::fetch))
         .routes(routes!(processing::shoot_card))
@@ -86,6 +88,7 @@ impl From<DeskError> for Problem {
                 SessionError::TooNew { .. } => (StatusCode::CONFLICT, "session_too_new"),
                 _ => (StatusCode::INTERNAL_SERVER_ERROR, "session_failed"),
             },
+            DeskError::Energy(_) => (StatusCode::INTERNAL_SERVER_ERROR, "session_unreadable"),
             DeskError::Place(_) => (StatusCode::INTERNAL_SERVER_ERROR, "disk_failed"),
             DeskError::Jobs(JobsError::Full | JobsError::Closed) => {
                 (StatusCode::SERVICE_UNAVAILABLE, "queue_full")

@@ -14,7 +14,8 @@ pub use ports::list;
 use self::line::Fields;
 use self::link::Link;
 use self::worker::{Command, Shared, Worker};
-use super::{Flash, FlashError, FlashShot, FlashStatus};
+use super::{Flash, FlashError, FlashStatus};
+use crate::pair::FlashSync;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::{Sender, channel};
@@ -104,7 +105,7 @@ impl Flash for SerialFlash {
         self.ask("disarm", true).map(|_| ())
     }
 
-    fn syncs(&mut self, patience: Duration) -> Result<Vec<FlashShot>, FlashError> {
+    fn syncs(&mut self, patience: Duration) -> Result<Vec<FlashSync>, FlashError> {
         let quiet = {
             let state = self.shared.wait(patience);
             state.shots.is_empty() && state.broken.is_none()

@@ -3,7 +3,8 @@
 
 use super::line::{Event, Fields};
 use super::link::{Hello, Link};
-use crate::rig::{FlashError, FlashShot};
+use crate::pair::{FlashSync, SyncSource};
+use crate::rig::FlashError;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -39,7 +40,7 @@ pub(super) struct State {
     /// "unlit flash controller 1.0 (atmega328p) on /dev/ttyACM0".
     pub(super) description: String,
     /// Shots that no one has taken yet.
-    pub(super) shots: Vec<FlashShot>,
+    pub(super) shots: Vec<FlashSync>,
     /// Why shots of the frame under way may be missing.
     pub(super) broken: Option<String>,
 }
@@ -311,13 +312,19 @@ impl Worker {
     }
 }
 
-/// A shot out of its report. No sample above the light threshold is no light, whatever the noise adds up to.
-fn shot(fields: &Fields) -> Option<FlashShot> {
-    let lit = fields.uint("w")? > 0;
-    Some(FlashShot {
+/// A shot out of its report. The dark level comes in sixteenths of a count.
+fn shot(fields: &Fields) -> Option<FlashSync> {
+    Some(FlashSync {
         number: fields.uint("n")?,
+        source: if fields.word("src")? == "fire" { SyncSource::Command } else { SyncSource::Contact },
         triggered: fields.uint("g")? == 1,
         tag: fields.uint("tag")?,
-        energy_counts: lit.then_some(f64::from(fields.uint("e")?)),
+        at: None,
+        energy_counts: f64::from(fields.int("e")?),
+        peak_counts: f64::from(fields.uint("pk")?),
+        dark_counts: f64::from(fields.uint("b")?) / 16.0,
+        lit_samples: fields.uint("w")?,
+        clipped_samples: fields.uint("c")?,
+        bounces: fields.uint("bn")?,
     })
 }
