@@ -14,6 +14,7 @@ mod fake_rig;
 mod flash;
 mod floors;
 mod gphoto_cli;
+mod hardware;
 mod main_job;
 mod pairs;
 mod processes;
