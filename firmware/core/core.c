@@ -2,18 +2,26 @@
 
 #include <string.h>
 
-/* True once span_us have passed since then_us; right as long as it is asked within 2^32 us of then. */
-static bool passed(uint32_t now_us, uint32_t then_us, uint32_t span_us)
+/* One count of a dark level: the fraction keeps 2^20 parts, so that a window's sum of it is right to a count. */
+#define DARK_ONE (UINT32_C(1) << 20)
+
+/* us since then_us. An interrupt may note a moment that lies after now_us, which the main loop took earlier; that
+ * is 0, not nearly 2^32. Right as long as it is asked within 2^31 us of then. */
+static uint32_t elapsed(uint32_t now_us, uint32_t then_us)
 {
-    return now_us - then_us >= span_us;
+    const uint32_t gone = now_us - then_us;
+    return gone < UINT32_C(0x80000000) ? gone : 0;
 }
 
-static void send(struct core *core, const struct line_writer *line)
+/* True once span_us have passed since then_us. */
+static bool passed(uint32_t now_us, uint32_t then_us, uint32_t span_us)
 {
-    for (uint8_t i = 0; i < line->length; i++) {
-        core->hal->tx(core->hal->ctx, (uint8_t)line->text[i]);
-    }
-    core->hal->tx(core->hal->ctx, '\n');
+    return elapsed(now_us, then_us) >= span_us;
+}
+
+static void answer_with(struct core *core, const struct line_writer *line)
+{
+    core->hal->send(core->hal->ctx, line->text, line->length, false);
 }
 
 static void start_event(struct core *core, struct line_writer *line, const char *name)
@@ -29,7 +37,7 @@ static void start_event(struct core *core, struct line_writer *line, const char 
 static void send_event(struct core *core, struct line_writer *line)
 {
     line_seal(line);
-    send(core, line);
+    core->hal->send(core->hal->ctx, line->text, line->length, true);
 }
 
 static void tell_disarm(struct core *core, const char *why)
@@ -49,6 +57,7 @@ void core_init(struct core *core, const struct core_hal *hal, const struct core_
     core->boot = boot;
     core->rst = rst;
     core->heard_at = now_us;
+    hal->gate(hal->ctx, false);
     hal->trigger(hal->ctx, false);
     struct line_writer line;
     start_event(core, &line, "boot");
@@ -64,6 +73,12 @@ size_t core_size(void)
 
 /* ---- light and edges: interrupts ---- */
 
+/* A dark level, rounded to counts. */
+static uint16_t counts_of(uint32_t dark)
+{
+    return (uint16_t)((dark + DARK_ONE / 2u) / DARK_ONE);
+}
+
 /* Opens a shot. `measuring` is set before `sampling`, and both last, so that the other side never sees half. */
 static void begin_shot(struct core *core, uint32_t now_us, bool fired, bool gated, uint32_t tag)
 {
@@ -74,8 +89,8 @@ static void begin_shot(struct core *core, uint32_t now_us, bool fired, bool gate
     shot->bn = 0;
     shot->fired = fired;
     shot->gated = gated;
-    shot->b = (uint16_t)((core->dark + 2048u) / 4096u);
-    core->gate_dark = (uint16_t)(core->dark / 65536u + CORE_LIGHT_THRESHOLD);
+    core->dark_then = core->dark[core->dark_now];
+    core->bright = (uint16_t)(counts_of(core->dark_then) + CORE_LIGHT_THRESHOLD);
     core->sum = 0;
     core->samples = 0;
     core->samples_wanted = (uint16_t)(core->cfg.win_us / CORE_SAMPLE_US);
@@ -85,31 +100,43 @@ static void begin_shot(struct core *core, uint32_t now_us, bool fired, bool gate
     core->sampling = 1;
 }
 
-static void raise_trigger(struct core *core, uint32_t now_us)
+static void note_rise(struct core *core, uint32_t now_us)
 {
-    core->hal->trigger(core->hal->ctx, true);
     core->trigger_at = now_us;
     core->trigger_high = 1;
 }
 
-bool core_sync_edge(struct core *core, uint32_t now_us)
+void core_sync_edge(struct core *core, uint32_t now_us, bool gated)
 {
-    /* An open gate implies not locked: arming waits for the lock, and whatever locks closes the gate. */
-    if (core->gate != 0) {
-        raise_trigger(core, now_us);
-        core->gate = 0;
+    if (gated) {
+        note_rise(core, now_us);
         core->used = 1;
         begin_shot(core, now_us, false, true, core->arm_tag);
-        return true;
+    } else if (core->locked == 0) {
+        begin_shot(core, now_us, false, false, 0);
+    } else if (core->measuring != 0 && core->shot.bn < UINT8_MAX) {
+        core->shot.bn++;
     }
-    if (core->locked != 0) {
-        if (core->measuring != 0 && core->shot.bn < UINT8_MAX) {
-            core->shot.bn++;
-        }
-        return false;
+}
+
+/* Two running means in a row, each over 2^shift samples: as steady as one over twice as many, but a ripple of the
+ * mains is damped by the square. After boot the shift grows with the number of samples there are. */
+static void follow_dark(struct core *core, uint16_t counts)
+{
+    const uint32_t sample = (uint32_t)counts * DARK_ONE;
+    uint8_t shift = 0;
+    while (shift < CORE_DARK_SHIFT && (core->dark_age >> (shift + 1)) != 0) {
+        shift++;
     }
-    begin_shot(core, now_us, false, false, 0);
-    return false;
+    if (core->dark_age < UINT8_MAX) {
+        core->dark_age++;
+    }
+    uint32_t dark = core->dark[core->dark_now];
+    core->dark_stage = core->dark_stage - (core->dark_stage >> shift) + (sample >> shift);
+    dark = dark - (dark >> shift) + (core->dark_stage >> shift);
+    const uint8_t other = core->dark_now ^ 1u;
+    core->dark[other] = dark;
+    core->dark_now = other;
 }
 
 void core_light_sample(struct core *core, uint16_t counts)
@@ -117,8 +144,7 @@ void core_light_sample(struct core *core, uint16_t counts)
     if (core->sampling == 0) {
         /* The tail of a pulse is not darkness, so the dark level rests until the lock is over. */
         if (core->locked == 0) {
-            core->dark = core->dark == 0 ? (uint32_t)counts * 65536u
-                                         : core->dark - core->dark / 256u + (uint32_t)counts * 256u;
+            follow_dark(core, counts);
         }
         return;
     }
@@ -128,7 +154,7 @@ void core_light_sample(struct core *core, uint16_t counts)
     if (counts > shot->pk) {
         shot->pk = counts;
     }
-    if (counts > core->gate_dark) {
+    if (counts > core->bright) {
         shot->w++;
     }
     if (counts >= CORE_ADC_FULL) {
@@ -148,22 +174,35 @@ void core_shot_fields(struct line_writer *line, const struct core_shot *shot)
     line_pair(line, "g", shot->gated ? 1 : 0);
     line_pair(line, "tag", shot->tag);
     line_pair(line, "t", shot->t);
-    line_pair(line, "e", shot->e);
+    line_signed(line, "e", shot->e);
     line_pair(line, "pk", shot->pk);
     line_pair(line, "b", shot->b);
     line_pair(line, "w", shot->w);
     line_pair(line, "c", shot->c);
+    line_pair(line, "m", shot->m);
     line_pair(line, "bn", shot->bn);
+}
+
+/* What `samples` samples (at most 60000 us / CORE_SAMPLE_US of them) of the dark level add up to, in counts. Whole
+ * counts and 4096ths apart, because their product with the full fraction would not fit 32 bits. */
+static uint32_t dark_sum(uint16_t samples, uint32_t dark)
+{
+    const uint32_t whole = dark / DARK_ONE;
+    const uint32_t parts = (dark % DARK_ONE + DARK_ONE / 8192u) / (DARK_ONE / 4096u);
+    return samples * whole + (samples * parts + 2048u) / 4096u;
 }
 
 static void report_shot(struct core *core)
 {
+    core->hal->hold(core->hal->ctx, true);
     core->sampling = 0;
+    core->hal->hold(core->hal->ctx, false);
     struct core_shot *shot = &core->shot;
-    const uint32_t dark = ((uint32_t)core->samples * shot->b + 8u) / 16u;
-    shot->e = core->sum > dark ? core->sum - dark : 0;
-    const uint16_t level = (uint16_t)(shot->b / 16u);
+    shot->m = core->samples;
+    shot->e = (int32_t)(core->sum - dark_sum(core->samples, core->dark_then));
+    const uint16_t level = counts_of(core->dark_then);
     shot->pk = shot->pk > level ? (uint16_t)(shot->pk - level) : 0;
+    shot->b = (uint16_t)((core->dark_then + DARK_ONE / 32u) / (DARK_ONE / 16u));
     shot->n = ++core->shots;
     core->log[shot->n % CORE_LOG_SIZE] = *shot;
     core->measuring = 0;
@@ -184,22 +223,27 @@ uint32_t core_wait_ms(const struct core *core, uint32_t now_us)
     uint32_t wait_us = 0;
     if (core->recycling) {
         const uint32_t span = (uint32_t)core->cfg.rec_ms * 1000u;
-        const uint32_t gone = now_us - core->triggered_at;
+        const uint32_t gone = elapsed(now_us, core->triggered_at);
         wait_us = gone < span ? span - gone : 0;
     }
     if (core->locked != 0) {
         const uint32_t span = (uint32_t)core->cfg.lock_ms * 1000u;
-        const uint32_t gone = now_us - core->locked_at;
+        const uint32_t gone = elapsed(now_us, core->locked_at);
         const uint32_t lock_us = gone < span ? span - gone : 1;
         wait_us = lock_us > wait_us ? lock_us : wait_us;
     }
     return (wait_us + 999u) / 1000u;
 }
 
+bool core_gate_open(const struct core *core)
+{
+    return core->armed && core->used == 0;
+}
+
 /* Closes the gate and forgets a delayed fire. Whatever the interrupt did before the gate closed stands. */
 void core_safe(struct core *core)
 {
-    core->gate = 0;
+    core->hal->gate(core->hal->ctx, false);
     core->fire_pending = false;
     if (core->used == 0) {
         core->armed = false;
@@ -209,22 +253,23 @@ void core_safe(struct core *core)
 static void note_trigger(struct core *core, uint32_t at_us)
 {
     core->triggered_at = at_us;
-    core->recycling = true;
+    core->recycling = core->untold_ready = true;
     core->recent = true;
 }
 
 static void fire_now(struct core *core, uint32_t now_us)
 {
-    /* From here on an edge is a bounce of this shot, unless one came first: then the fire waits its turn. */
-    core->locked_at = now_us;
-    core->locked = 1;
-    if (core->measuring != 0) {
-        return;
+    const struct core_hal *hal = core->hal;
+    hal->hold(hal->ctx, true);
+    /* An edge may have come first; then the fire waits its turn. From here on an edge is a bounce of this shot. */
+    if (core->locked == 0) {
+        hal->trigger(hal->ctx, true);
+        note_rise(core, now_us);
+        begin_shot(core, now_us, true, true, core->fire_tag);
+        core->fire_pending = false;
+        note_trigger(core, now_us);
     }
-    raise_trigger(core, now_us);
-    begin_shot(core, now_us, true, true, core->fire_tag);
-    core->fire_pending = false;
-    note_trigger(core, now_us);
+    hal->hold(hal->ctx, false);
 }
 
 static void watch_contact(struct core *core, uint32_t now_us)
@@ -250,7 +295,7 @@ static void watch_contact(struct core *core, uint32_t now_us)
 static void end_lock(struct core *core, uint32_t now_us)
 {
     const uint32_t lock_us = (uint32_t)core->cfg.lock_ms * 1000u;
-    if (core->measuring != 0 && passed(now_us, core->shot.t, lock_us)) {
+    if (core->measuring != 0 && passed(now_us, *(const volatile uint32_t *)&core->shot.t, lock_us)) {
         report_shot(core);
     }
     if (core->locked == 0) {
@@ -296,8 +341,11 @@ void core_poll(struct core *core, uint32_t now_us)
     if (core->recent && passed(now_us, core->triggered_at, CORE_TRIGGER_GAP_MS * 1000ul)) {
         core->recent = false;
     }
-    if (core->recycling && passed(now_us, core->triggered_at, core->cfg.rec_ms * 1000ul) && core_charged(core)) {
+    if (core->recycling && passed(now_us, core->triggered_at, core->cfg.rec_ms * 1000ul)) {
         core->recycling = false;
+    }
+    if (core->untold_ready && !core->recycling && core_charged(core)) {
+        core->untold_ready = false;
         struct line_writer line;
         start_event(core, &line, "ready");
         send_event(core, &line);
@@ -361,7 +409,7 @@ static void take_line(struct core *core, uint32_t now_us)
     struct line_writer line;
     if (error != LINE_OK && request.seq == 0) {
         refuse(&line, 0, error, core->greeted);
-        send(core, &line);
+        answer_with(core, &line);
         return;
     }
     if (request.seq == 0) {
@@ -371,7 +419,7 @@ static void take_line(struct core *core, uint32_t now_us)
             core->heard_at = now_us;
             answer(core, &request, now_us, &line);
         }
-        send(core, &line);
+        answer_with(core, &line);
         return;
     }
     core->heard_at = now_us;
@@ -380,10 +428,10 @@ static void take_line(struct core *core, uint32_t now_us)
     const bool hello = error == LINE_OK && strcmp(request.verb, "hello") == 0;
     if (request.seq == core->last_seq && !hello) {
         if (request.crc == core->last_crc) {
-            send(core, &core->reply);
+            answer_with(core, &core->reply);
         } else {
             refuse(&line, request.seq, LINE_SEQ, core->greeted);
-            send(core, &line);
+            answer_with(core, &line);
         }
         return;
     }
@@ -394,7 +442,7 @@ static void take_line(struct core *core, uint32_t now_us)
     } else {
         refuse(&core->reply, request.seq, error, core->greeted);
     }
-    send(core, &core->reply);
+    answer_with(core, &core->reply);
 }
 
 void core_rx(struct core *core, uint8_t byte, uint32_t now_us)
@@ -414,7 +462,7 @@ void core_rx(struct core *core, uint8_t byte, uint32_t now_us)
     if (core->line_too_long) {
         struct line_writer line;
         refuse(&line, 0, LINE_LONG, core->greeted);
-        send(core, &line);
+        answer_with(core, &line);
     } else if (core->line_length > 0) {
         take_line(core, now_us);
     }

@@ -219,6 +219,15 @@ void line_pair(struct line_writer *line, const char *key, uint32_t value)
     line_uint(line, value);
 }
 
+void line_signed(struct line_writer *line, const char *key, int32_t value)
+{
+    key_sign(line, key);
+    if (value < 0) {
+        put(line, '-');
+    }
+    line_uint(line, value < 0 ? 0u - (uint32_t)value : (uint32_t)value);
+}
+
 void line_word(struct line_writer *line, const char *key, const char *value)
 {
     key_sign(line, key);
@@ -232,4 +241,5 @@ void line_seal(struct line_writer *line)
     for (uint8_t shift = 16; shift > 0; shift = (uint8_t)(shift - 4)) {
         put(line, hex_digits[(crc >> (shift - 4)) & 0xFu]);
     }
+    put(line, '\n');
 }

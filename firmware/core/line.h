@@ -62,8 +62,9 @@ void line_text(struct line_writer *line, const char *text);
 void line_uint(struct line_writer *line, uint32_t value);
 /* Appends " key=value". */
 void line_pair(struct line_writer *line, const char *key, uint32_t value);
+void line_signed(struct line_writer *line, const char *key, int32_t value);
 void line_word(struct line_writer *line, const char *key, const char *value);
-/* Appends "*HEX4", the checksum of all before it. */
+/* Appends "*HEX4", the checksum of all before it, and the line end. */
 void line_seal(struct line_writer *line);
 
 #endif

@@ -21,7 +21,7 @@ static enum line_error hello(struct core *core, struct line_request *request, ui
     core->greeted = true;
     core->strict = strict == 1;
     line_pair(reply, "v", 1);
-    line_word(reply, "fw", "1.0");
+    line_word(reply, "fw", "1.1");
     line_word(reply, "mcu", core->hal->mcu);
     line_pair(reply, "boot", core->boot);
     line_pair(reply, "rst", core->rst);
@@ -35,7 +35,7 @@ static enum line_error hello(struct core *core, struct line_request *request, ui
 static enum line_error ping(struct core *core, uint32_t now_us, struct line_writer *reply)
 {
     line_pair(reply, "t", now_us);
-    line_pair(reply, "g", core->gate);
+    line_pair(reply, "g", core_gate_open(core));
     line_pair(reply, "ev", core->events);
     line_pair(reply, "n", core->shots);
     return LINE_OK;
@@ -44,7 +44,7 @@ static enum line_error ping(struct core *core, uint32_t now_us, struct line_writ
 static enum line_error stat(struct core *core, uint32_t now_us, struct line_writer *reply)
 {
     line_pair(reply, "t", now_us);
-    line_pair(reply, "g", core->gate);
+    line_pair(reply, "g", core_gate_open(core));
     line_pair(reply, "fire", core->fire_pending);
     line_pair(reply, "hello", core->greeted);
     line_pair(reply, "ready", !core->recycling && core->locked == 0 && core_charged(core));
@@ -126,9 +126,16 @@ static enum line_error arm(struct core *core, struct line_request *request, uint
     core->arm_tag = tag;
     core->armed_at = now_us;
     core->arm_ttl_us = ttl * 1000u;
-    core->armed = true;
-    core->gate = 1; /* last: from here on the interrupt may read what stands above */
-    return LINE_OK;
+    /* An edge since the question above has started a lock, and a bounce of it must not find the gate open. */
+    const struct core_hal *hal = core->hal;
+    hal->hold(hal->ctx, true);
+    const bool free = core->locked == 0;
+    if (free) {
+        core->armed = true;
+        hal->gate(hal->ctx, true);
+    }
+    hal->hold(hal->ctx, false);
+    return free ? LINE_OK : LINE_NOTREADY;
 }
 
 static enum line_error fire(struct core *core, struct line_request *request, uint32_t now_us)
@@ -157,10 +164,11 @@ static enum line_error adc(struct core *core, struct line_request *request, stru
     if (!line_take(request, "ch", &channel) || !line_all_taken(request) || channel >= core->hal->adc_channels) {
         return LINE_ARG;
     }
-    if (core->measuring != 0) {
+    const uint16_t counts = core->measuring != 0 ? CORE_ADC_NONE : core->hal->adc(core->hal->ctx, (uint8_t)channel);
+    if (counts == CORE_ADC_NONE) {
         return LINE_BUSY;
     }
-    line_pair(reply, "v", core->hal->adc(core->hal->ctx, (uint8_t)channel));
+    line_pair(reply, "v", counts);
     return LINE_OK;
 }
 

@@ -30,6 +30,11 @@ impl Fields {
     pub(crate) fn uint(&self, key: &str) -> Option<u32> {
         self.word(key)?.parse().ok()
     }
+
+    /// The number behind `key`, which may be negative.
+    pub(crate) fn int(&self, key: &str) -> Option<i32> {
+        self.word(key)?.parse().ok()
+    }
 }
 
 /// What the board may say.

@@ -318,6 +318,6 @@ fn shot(fields: &Fields) -> Option<FlashShot> {
         number: fields.uint("n")?,
         triggered: fields.uint("g")? == 1,
         tag: fields.uint("tag")?,
-        energy_counts: lit.then_some(f64::from(fields.uint("e")?)),
+        energy_counts: lit.then_some(f64::from(fields.int("e")?)),
     })
 }
