@@ -24,28 +24,29 @@ static void answer_with(struct core *core, const struct line_writer *line)
     core->hal->send(core->hal->ctx, line->text, line->length, false);
 }
 
-static void start_event(struct core *core, struct line_writer *line, const char *name)
+static struct line_writer *start_event(struct core *core, LINE_ROM char *name)
 {
+    struct line_writer *line = &core->out;
     core->events++;
     line_start(line);
-    line_text(line, "!");
+    line_text(line, TEXT("!"));
     line_uint(line, core->events);
-    line_text(line, " ");
+    line_text(line, TEXT(" "));
     line_text(line, name);
+    return line;
 }
 
-static void send_event(struct core *core, struct line_writer *line)
+static void send_event(struct core *core)
 {
-    line_seal(line);
-    core->hal->send(core->hal->ctx, line->text, line->length, true);
+    line_seal(&core->out);
+    core->hal->send(core->hal->ctx, core->out.text, core->out.length, true);
 }
 
-static void tell_disarm(struct core *core, const char *why)
+static void tell_disarm(struct core *core, LINE_ROM char *why)
 {
-    struct line_writer line;
-    start_event(core, &line, "disarm");
-    line_word(&line, "why", why);
-    send_event(core, &line);
+    struct line_writer *line = start_event(core, TEXT("disarm"));
+    line_word(line, TEXT("why"), why);
+    send_event(core);
 }
 
 void core_init(struct core *core, const struct core_hal *hal, const struct core_config *cfg, uint16_t boot,
@@ -59,11 +60,10 @@ void core_init(struct core *core, const struct core_hal *hal, const struct core_
     core->heard_at = now_us;
     hal->gate(hal->ctx, false);
     hal->trigger(hal->ctx, false);
-    struct line_writer line;
-    start_event(core, &line, "boot");
-    line_pair(&line, "boot", boot);
-    line_pair(&line, "rst", rst);
-    send_event(core, &line);
+    struct line_writer *line = start_event(core, TEXT("boot"));
+    line_pair(line, TEXT("boot"), boot);
+    line_pair(line, TEXT("rst"), rst);
+    send_event(core);
 }
 
 size_t core_size(void)
@@ -121,8 +121,12 @@ void core_sync_edge(struct core *core, uint32_t now_us, bool gated)
 
 /* Two running means in a row, each over 2^shift samples: as steady as one over twice as many, but a ripple of the
  * mains is damped by the square. After boot the shift grows with the number of samples there are. */
-static void follow_dark(struct core *core, uint16_t counts)
+void core_dark_sample(struct core *core, uint16_t counts)
 {
+    /* The tail of a pulse is not darkness, so the dark level rests until the lock is over. */
+    if (core->locked != 0) {
+        return;
+    }
     const uint32_t sample = (uint32_t)counts * DARK_ONE;
     uint8_t shift = 0;
     while (shift < CORE_DARK_SHIFT && (core->dark_age >> (shift + 1)) != 0) {
@@ -142,10 +146,6 @@ static void follow_dark(struct core *core, uint16_t counts)
 void core_light_sample(struct core *core, uint16_t counts)
 {
     if (core->sampling == 0) {
-        /* The tail of a pulse is not darkness, so the dark level rests until the lock is over. */
-        if (core->locked == 0) {
-            follow_dark(core, counts);
-        }
         return;
     }
     struct core_shot *shot = &core->shot;
@@ -169,18 +169,18 @@ void core_light_sample(struct core *core, uint16_t counts)
 
 void core_shot_fields(struct line_writer *line, const struct core_shot *shot)
 {
-    line_pair(line, "n", shot->n);
-    line_word(line, "src", shot->fired ? "fire" : "sync");
-    line_pair(line, "g", shot->gated ? 1 : 0);
-    line_pair(line, "tag", shot->tag);
-    line_pair(line, "t", shot->t);
-    line_signed(line, "e", shot->e);
-    line_pair(line, "pk", shot->pk);
-    line_pair(line, "b", shot->b);
-    line_pair(line, "w", shot->w);
-    line_pair(line, "c", shot->c);
-    line_pair(line, "m", shot->m);
-    line_pair(line, "bn", shot->bn);
+    line_pair(line, TEXT("n"), shot->n);
+    line_word(line, TEXT("src"), shot->fired ? TEXT("fire") : TEXT("sync"));
+    line_pair(line, TEXT("g"), shot->gated ? 1 : 0);
+    line_pair(line, TEXT("tag"), shot->tag);
+    line_pair(line, TEXT("t"), shot->t);
+    line_signed(line, TEXT("e"), shot->e);
+    line_pair(line, TEXT("pk"), shot->pk);
+    line_pair(line, TEXT("b"), shot->b);
+    line_pair(line, TEXT("w"), shot->w);
+    line_pair(line, TEXT("c"), shot->c);
+    line_pair(line, TEXT("m"), shot->m);
+    line_pair(line, TEXT("bn"), shot->bn);
 }
 
 /* What `samples` samples (at most 60000 us / CORE_SAMPLE_US of them) of the dark level add up to, in counts. Whole
@@ -207,10 +207,9 @@ static void report_shot(struct core *core)
     core->log[shot->n % CORE_LOG_SIZE] = *shot;
     core->measuring = 0;
 
-    struct line_writer line;
-    start_event(core, &line, "shot");
-    core_shot_fields(&line, &core->log[core->shots % CORE_LOG_SIZE]);
-    send_event(core, &line);
+    struct line_writer *line = start_event(core, TEXT("shot"));
+    core_shot_fields(line, &core->log[core->shots % CORE_LOG_SIZE]);
+    send_event(core);
 }
 
 bool core_charged(const struct core *core)
@@ -284,9 +283,8 @@ static void watch_contact(struct core *core, uint32_t now_us)
     }
     if (!core->stuck_told && passed(now_us, core->closed_since, CORE_STUCK_MS * 1000ul)) {
         core->stuck_told = true;
-        struct line_writer line;
-        start_event(core, &line, "stuck");
-        send_event(core, &line);
+        start_event(core, TEXT("stuck"));
+        send_event(core);
     }
 }
 
@@ -314,11 +312,11 @@ void core_poll(struct core *core, uint32_t now_us)
         core->hal->trigger(core->hal->ctx, false);
         core->trigger_high = 0;
     }
-    const char *why = NULL;
+    LINE_ROM char *why = NULL;
     if ((core->armed || core->fire_pending) && passed(now_us, core->heard_at, core->cfg.sil_ms * 1000ul)) {
-        why = "silence";
+        why = TEXT("silence");
     } else if (core->armed && passed(now_us, core->armed_at, core->arm_ttl_us)) {
-        why = "ttl";
+        why = TEXT("ttl");
     }
     if (why != NULL) {
         core_safe(core);
@@ -331,7 +329,7 @@ void core_poll(struct core *core, uint32_t now_us)
         core->used = 0;
         core->armed = false;
         note_trigger(core, core->trigger_at);
-        tell_disarm(core, "used");
+        tell_disarm(core, TEXT("used"));
     }
     watch_contact(core, now_us);
     end_lock(core, now_us);
@@ -346,46 +344,45 @@ void core_poll(struct core *core, uint32_t now_us)
     }
     if (core->untold_ready && !core->recycling && core_charged(core)) {
         core->untold_ready = false;
-        struct line_writer line;
-        start_event(core, &line, "ready");
-        send_event(core, &line);
+        start_event(core, TEXT("ready"));
+        send_event(core);
     }
 }
 
 /* ---- requests ---- */
 
-static const char *error_word(enum line_error error, bool greeted)
+static LINE_ROM char *error_word(enum line_error error, bool greeted)
 {
     switch (error) {
-    case LINE_CRC: return "crc";
-    case LINE_SYNTAX: return "syntax";
-    case LINE_LONG: return "long";
-    case LINE_VERB: return "verb";
-    case LINE_ARG: return "arg";
-    case LINE_SEQ: return "seq";
-    case LINE_HELLO: return greeted ? "strict" : "hello";
-    case LINE_NOTREADY: return "notready";
-    case LINE_BUSY: return "busy";
-    case LINE_RATE: return "rate";
-    case LINE_GONE: return "gone";
+    case LINE_CRC: return TEXT("crc");
+    case LINE_SYNTAX: return TEXT("syntax");
+    case LINE_LONG: return TEXT("long");
+    case LINE_VERB: return TEXT("verb");
+    case LINE_ARG: return TEXT("arg");
+    case LINE_SEQ: return TEXT("seq");
+    case LINE_HELLO: return greeted ? TEXT("strict") : TEXT("hello");
+    case LINE_NOTREADY: return TEXT("notready");
+    case LINE_BUSY: return TEXT("busy");
+    case LINE_RATE: return TEXT("rate");
+    case LINE_GONE: return TEXT("gone");
     case LINE_OK: break;
     }
-    return "ok";
+    return TEXT("ok");
 }
 
 static void start_reply(struct line_writer *line, uint8_t seq)
 {
     line_start(line);
-    line_text(line, "#");
+    line_text(line, TEXT("#"));
     line_uint(line, seq);
 }
 
 static void refuse(struct line_writer *line, uint8_t seq, enum line_error error, bool greeted)
 {
     start_reply(line, seq);
-    line_text(line, " err ");
+    line_text(line, TEXT(" err "));
     line_uint(line, error);
-    line_text(line, " ");
+    line_text(line, TEXT(" "));
     line_text(line, error_word(error, greeted));
     line_seal(line);
 }
@@ -393,7 +390,7 @@ static void refuse(struct line_writer *line, uint8_t seq, enum line_error error,
 static void answer(struct core *core, struct line_request *request, uint32_t now_us, struct line_writer *line)
 {
     start_reply(line, request->seq);
-    line_text(line, " ok");
+    line_text(line, TEXT(" ok"));
     const enum line_error error = core_dispatch(core, request, now_us, line);
     if (error == LINE_OK) {
         line_seal(line);
@@ -406,32 +403,32 @@ static void take_line(struct core *core, uint32_t now_us)
 {
     struct line_request request;
     const enum line_error error = line_parse(core->line, core->line_length, &request);
-    struct line_writer line;
+    struct line_writer *line = &core->out;
     if (error != LINE_OK && request.seq == 0) {
-        refuse(&line, 0, error, core->greeted);
-        answer_with(core, &line);
+        refuse(line, 0, error, core->greeted);
+        answer_with(core, line);
         return;
     }
     if (request.seq == 0) {
         if (core->strict) {
-            refuse(&line, 0, LINE_HELLO, true);
+            refuse(line, 0, LINE_HELLO, true);
         } else {
             core->heard_at = now_us;
-            answer(core, &request, now_us, &line);
+            answer(core, &request, now_us, line);
         }
-        answer_with(core, &line);
+        answer_with(core, line);
         return;
     }
     core->heard_at = now_us;
     /* hello starts a conversation and changes nothing when repeated, so it is carried out every time: a new
      * host must never get the answer that its predecessor had, nor leave the gate as he left it. */
-    const bool hello = error == LINE_OK && strcmp(request.verb, "hello") == 0;
+    const bool hello = error == LINE_OK && line_is(request.verb, TEXT("hello"));
     if (request.seq == core->last_seq && !hello) {
         if (request.crc == core->last_crc) {
             answer_with(core, &core->reply);
         } else {
-            refuse(&line, request.seq, LINE_SEQ, core->greeted);
-            answer_with(core, &line);
+            refuse(line, request.seq, LINE_SEQ, core->greeted);
+            answer_with(core, line);
         }
         return;
     }
@@ -460,9 +457,9 @@ void core_rx(struct core *core, uint8_t byte, uint32_t now_us)
     }
     core_poll(core, now_us); /* so that no request meets a gate whose time is over */
     if (core->line_too_long) {
-        struct line_writer line;
-        refuse(&line, 0, LINE_LONG, core->greeted);
-        answer_with(core, &line);
+        struct line_writer *line = &core->out;
+        refuse(line, 0, LINE_LONG, core->greeted);
+        answer_with(core, line);
     } else if (core->line_length > 0) {
         take_line(core, now_us);
     }

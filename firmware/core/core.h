@@ -13,8 +13,8 @@
  * other code runs, and nothing opens it again until core_poll has said "used". Closing is a single write: an edge
  * came before it (then `used` is set, and it counts) or finds the gate closed.
  *
- * Contexts. core_sync_edge, and core_light_sample while `sampling`, may run in interrupts that do not nest; all
- * else, and core_light_sample while not `sampling`, runs in the main loop. Fields wider than a byte that both touch
+ * Contexts. core_sync_edge and core_light_sample may run in interrupts that do not nest; all else runs in the main
+ * loop. Fields wider than a byte that both touch
  * are written by one side only while a byte tells the other to keep off:
  *   shot, sum, samples    interrupts, from `measuring` to `sampling` = 0; then the main loop
  *   locked_at             an edge writes it only while `locked` is 0, which the main loop claims inside hal->hold
@@ -25,7 +25,8 @@
  *
  * Duties of the platform: call core_poll at least once a millisecond (it ends the trigger pulse and closes the
  * gate when its time is over), core_rx for every byte, core_sync_edge when the contact closes, core_light_sample
- * every CORE_SAMPLE_US while `sampling` and every CORE_IDLE_US otherwise, at least once before the first edge. */
+ * every CORE_SAMPLE_US while `sampling`, core_dark_sample every CORE_IDLE_US otherwise and once before the first
+ * edge. Each ignores what the other wants. */
 #ifndef UNLIT_CORE_H
 #define UNLIT_CORE_H
 
@@ -42,7 +43,7 @@ enum {
     CORE_LOG_SIZE = 16,        /* shots that `get` still knows */
     CORE_LIGHT_THRESHOLD = 8,  /* counts above dark that are light */
     CORE_ADC_FULL = 1023,      /* a sample of this value is clipped */
-    CORE_ADC_NONE = 0xFFFF,
+    CORE_ADC_NONE = 0x7FFF,    /* no sample */
     CORE_TRIGGER_GAP_MS = 50,  /* no flash takes more than 20 triggers a second */
     CORE_STUCK_MS = 2000       /* a contact closed for longer is stuck */
 };
@@ -58,7 +59,7 @@ struct core_hal {
     uint16_t (*adc)(void *ctx, uint8_t channel);
     bool (*sync_closed)(void *ctx); /* level of the contact, only to see it stuck */
     bool (*charged)(void *ctx);     /* the flash's ready output, asked only if cfg rdy=1 */
-    const char *mcu;                /* lower case, digits */
+    LINE_ROM char *mcu;             /* lower case, digits */
     uint8_t adc_channels;
 };
 
@@ -127,6 +128,7 @@ struct core {
     bool line_too_long;
     uint8_t last_seq; /* 0: none */
     uint16_t last_crc;
+    struct line_writer out;   /* the line being written: an event, or an answer that nobody asks for again */
     struct line_writer reply; /* the last numbered one, kept for replay */
 };
 
@@ -138,8 +140,9 @@ void core_poll(struct core *core, uint32_t now_us);
 void core_rx(struct core *core, uint8_t byte, uint32_t now_us);
 /* The sync contact closed. gated: the gate was open; the platform has raised the trigger and closed the gate. */
 void core_sync_edge(struct core *core, uint32_t now_us, bool gated);
-/* One photodiode sample, counts 0..1023. */
+/* One photodiode sample, counts 0..1023, in the window of a shot; and one in between. */
 void core_light_sample(struct core *core, uint16_t counts);
+void core_dark_sample(struct core *core, uint16_t counts);
 /* sizeof(struct core), for those who cannot see it. */
 size_t core_size(void);
 

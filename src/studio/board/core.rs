@@ -51,6 +51,7 @@ unsafe extern "C" {
     fn core_rx(core: *mut c_void, byte: u8, now_us: u32);
     fn core_sync_edge(core: *mut c_void, now_us: u32, gated: bool);
     fn core_light_sample(core: *mut c_void, counts: u16);
+    fn core_dark_sample(core: *mut c_void, counts: u16);
     fn core_size() -> usize;
 }
 
@@ -178,10 +179,13 @@ impl Core {
         gated
     }
 
-    /// One photodiode sample in counts.
+    /// One photodiode sample in counts: of the window of a shot, if there is one, or of the darkness between.
     pub(super) fn light_sample(&mut self, counts: u16) {
         // SAFETY: initialised in `new`.
-        unsafe { core_light_sample(self.pointer(), counts) }
+        unsafe {
+            core_light_sample(self.pointer(), counts);
+            core_dark_sample(self.pointer(), counts);
+        }
     }
 
     /// The input pins.
