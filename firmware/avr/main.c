@@ -171,10 +171,7 @@ static void gather_light(void)
 
 ISR(ADC_vect)
 {
-    const uint16_t counts = ADC;
-    if (core.sampling != 0) {
-        core_light_sample(&core, counts);
-    }
+    core_light_sample(&core, ADC);
     if (core.sampling == 0) {
         ADCSRA = 0;
     }
@@ -322,8 +319,8 @@ static void start(void)
     OCR0A = 249;
     TIMSK0 = _BV(OCIE0A);
 
+    UCSR0A = _BV(U2X0); /* before UBRR0, whose writing is when simavr works out the rate */
     UBRR0 = UBRR_115200;
-    UCSR0A = _BV(U2X0);
     UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
     UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
 

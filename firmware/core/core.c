@@ -54,7 +54,7 @@ void core_init(struct core *core, const struct core_hal *hal, const struct core_
 {
     memset(core, 0, sizeof *core);
     core->hal = hal;
-    core->cfg = *cfg;
+    core_configure(core, cfg);
     core->boot = boot;
     core->rst = rst;
     core->heard_at = now_us;
@@ -66,18 +66,18 @@ void core_init(struct core *core, const struct core_hal *hal, const struct core_
     send_event(core);
 }
 
+void core_configure(struct core *core, const struct core_config *cfg)
+{
+    core->cfg = *cfg;
+    core->samples_wanted = (uint16_t)(cfg->win_us / CORE_SAMPLE_US);
+}
+
 size_t core_size(void)
 {
     return sizeof(struct core);
 }
 
 /* ---- light and edges: interrupts ---- */
-
-/* A dark level, rounded to counts. */
-static uint16_t counts_of(uint32_t dark)
-{
-    return (uint16_t)((dark + DARK_ONE / 2u) / DARK_ONE);
-}
 
 /* Opens a shot. `measuring` is set before `sampling`, and both last, so that the other side never sees half. */
 static void begin_shot(struct core *core, uint32_t now_us, bool fired, bool gated, uint32_t tag)
@@ -89,11 +89,11 @@ static void begin_shot(struct core *core, uint32_t now_us, bool fired, bool gate
     shot->bn = 0;
     shot->fired = fired;
     shot->gated = gated;
-    core->dark_then = core->dark[core->dark_now];
-    core->bright = (uint16_t)(counts_of(core->dark_then) + CORE_LIGHT_THRESHOLD);
+    const volatile struct core_dark *dark = &core->dark[core->dark_now];
+    core->dark_then.level = dark->level;
+    core->dark_then.bright = dark->bright;
     core->sum = 0;
-    core->samples = 0;
-    core->samples_wanted = (uint16_t)(core->cfg.win_us / CORE_SAMPLE_US);
+    core->samples_left = core->samples_wanted;
     core->locked_at = now_us;
     core->locked = 1;
     core->measuring = 1;
@@ -135,35 +135,16 @@ void core_dark_sample(struct core *core, uint16_t counts)
     if (core->dark_age < UINT8_MAX) {
         core->dark_age++;
     }
-    uint32_t dark = core->dark[core->dark_now];
+    uint32_t level = core->dark[core->dark_now].level;
     core->dark_stage = core->dark_stage - (core->dark_stage >> shift) + (sample >> shift);
-    dark = dark - (dark >> shift) + (core->dark_stage >> shift);
+    level = level - (level >> shift) + (core->dark_stage >> shift);
     const uint8_t other = core->dark_now ^ 1u;
-    core->dark[other] = dark;
+    core->dark[other].level = level;
+    core->dark[other].bright = (uint16_t)((level + DARK_ONE / 2u) / DARK_ONE + CORE_LIGHT_THRESHOLD);
     core->dark_now = other;
 }
 
-void core_light_sample(struct core *core, uint16_t counts)
-{
-    if (core->sampling == 0) {
-        return;
-    }
-    struct core_shot *shot = &core->shot;
-    core->sum += counts;
-    core->samples++;
-    if (counts > shot->pk) {
-        shot->pk = counts;
-    }
-    if (counts > core->bright) {
-        shot->w++;
-    }
-    if (counts >= CORE_ADC_FULL) {
-        shot->c++;
-    }
-    if (core->samples >= core->samples_wanted) {
-        core->sampling = 0;
-    }
-}
+extern inline void core_light_sample(struct core *core, uint16_t counts);
 
 /* ---- main loop ---- */
 
@@ -198,11 +179,11 @@ static void report_shot(struct core *core)
     core->sampling = 0;
     core->hal->hold(core->hal->ctx, false);
     struct core_shot *shot = &core->shot;
-    shot->m = core->samples;
-    shot->e = (int32_t)(core->sum - dark_sum(core->samples, core->dark_then));
-    const uint16_t level = counts_of(core->dark_then);
-    shot->pk = shot->pk > level ? (uint16_t)(shot->pk - level) : 0;
-    shot->b = (uint16_t)((core->dark_then + DARK_ONE / 32u) / (DARK_ONE / 16u));
+    shot->m = (uint16_t)(core->samples_wanted - core->samples_left);
+    shot->e = (int32_t)(core->sum - dark_sum(shot->m, core->dark_then.level));
+    const uint16_t dark = (uint16_t)(core->dark_then.bright - CORE_LIGHT_THRESHOLD);
+    shot->pk = shot->pk > dark ? (uint16_t)(shot->pk - dark) : 0;
+    shot->b = (uint16_t)((core->dark_then.level + DARK_ONE / 32u) / (DARK_ONE / 16u));
     shot->n = ++core->shots;
     core->log[shot->n % CORE_LOG_SIZE] = *shot;
     core->measuring = 0;

@@ -16,7 +16,7 @@
  * Contexts. core_sync_edge and core_light_sample may run in interrupts that do not nest; all else runs in the main
  * loop. Fields wider than a byte that both touch
  * are written by one side only while a byte tells the other to keep off:
- *   shot, sum, samples    interrupts, from `measuring` to `sampling` = 0; then the main loop
+ *   shot, sum, samples_left    interrupts, from `measuring` to `sampling` = 0; then the main loop
  *   locked_at             an edge writes it only while `locked` is 0, which the main loop claims inside hal->hold
  *   trigger_at            an edge writes it only with the gate open, when no trigger is high and `used` is 0
  *   dark                  written beside the copy in use, which `dark_now` names
@@ -87,6 +87,12 @@ struct core_shot {
     bool gated;   /* g: the trigger was raised */
 };
 
+/* The level of darkness, and what follows from it that an interrupt must not spend its time on. */
+struct core_dark {
+    uint32_t level;  /* counts * 2^20 */
+    uint16_t bright; /* a sample above this is light: the level in counts, and the threshold */
+};
+
 struct core {
     volatile uint8_t locked;
     volatile uint8_t measuring; /* `shot` belongs to the interrupts until core_poll reports it */
@@ -104,13 +110,13 @@ struct core {
     struct core_shot shot;
     volatile uint32_t locked_at, trigger_at;
     uint32_t sum;
-    uint16_t samples, samples_wanted;
-    uint16_t bright;    /* a sample above this is light; frozen for the window */
-    uint32_t dark_then; /* dark level of the shot, counts * 2^20 */
+    uint16_t samples_left;
+    struct core_dark dark_then; /* as it was when the shot began */
 
     /* Written by the main loop, read by interrupts. */
-    volatile uint32_t dark[2]; /* dark level, counts * 2^20 */
-    uint32_t arm_tag;          /* while the gate is closed */
+    volatile struct core_dark dark[2];
+    uint16_t samples_wanted; /* in a window; set while none is open */
+    uint32_t arm_tag;        /* while the gate is closed */
 
     /* Main loop only. */
     uint32_t dark_stage; /* the mean that `dark` is the mean of */
@@ -140,9 +146,29 @@ void core_poll(struct core *core, uint32_t now_us);
 void core_rx(struct core *core, uint8_t byte, uint32_t now_us);
 /* The sync contact closed. gated: the gate was open; the platform has raised the trigger and closed the gate. */
 void core_sync_edge(struct core *core, uint32_t now_us, bool gated);
-/* One photodiode sample, counts 0..1023, in the window of a shot; and one in between. */
-void core_light_sample(struct core *core, uint16_t counts);
+/* One photodiode sample, counts 0..1023, between shots. */
 void core_dark_sample(struct core *core, uint16_t counts);
+/* And one in the window of a shot. On the AVR it has 208 cycles, with all that an interrupt costs; inline, it saves
+ * only the registers that it uses. */
+inline void core_light_sample(struct core *core, uint16_t counts)
+{
+    if (core->sampling == 0) {
+        return;
+    }
+    core->sum += counts;
+    if (counts > core->shot.pk) {
+        core->shot.pk = counts;
+    }
+    if (counts > core->dark_then.bright) {
+        core->shot.w++;
+        if (counts >= CORE_ADC_FULL) {
+            core->shot.c++;
+        }
+    }
+    if (--core->samples_left == 0) {
+        core->sampling = 0;
+    }
+}
 /* sizeof(struct core), for those who cannot see it. */
 size_t core_size(void);
 
@@ -154,6 +180,8 @@ void core_safe(struct core *core);
 bool core_gate_open(const struct core *core);
 /* ms until the flash may be triggered again, as far as time tells. */
 uint32_t core_wait_ms(const struct core *core, uint32_t now_us);
+/* Takes over the settings. */
+void core_configure(struct core *core, const struct core_config *cfg);
 bool core_charged(const struct core *core);
 void core_shot_fields(struct line_writer *line, const struct core_shot *shot);
 

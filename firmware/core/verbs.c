@@ -87,7 +87,7 @@ static enum line_error cfg(struct core *core, struct line_request *request, stru
         return LINE_BUSY;
     }
     next.rdy = (uint8_t)rdy;
-    core->cfg = next;
+    core_configure(core, &next);
     line_pair(reply, TEXT("sil"), next.sil_ms);
     line_pair(reply, TEXT("pulse"), next.pulse_us);
     line_pair(reply, TEXT("lock"), next.lock_ms);

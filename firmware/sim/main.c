@@ -1,4 +1,5 @@
-/* The flash controller's own program in a simulated ATmega328P, for tests: `unlit-sim PROGRAM.hex [BOOTLOADER.hex]`.
+/* The flash controller's own program in a simulated ATmega328P, for tests: `unlit-sim PROGRAM.hex [BOOTLOADER.hex]`,
+ * with - for no program.
  * Links libsimavr, which is GPL-3; nothing of unlit links this.
  *
  * The UART is a pseudo terminal, whose path is the first line of stdout. Commands come line by line on stdin, each is
@@ -27,7 +28,8 @@
  * Of simavr 1.6 one must know: a pin's level lasts only with SET_EXTERNAL, because every write to the port puts the
  * pull-ups back; the ADC's result is what its pin has when the result is read; a reset clears RAM and forgets all
  * cycle timers; an interrupt is served between instructions but costs no response cycles, of which the chip takes
- * four and, for its synchroniser, up to two; and its EEPROM writes last no time. */
+ * four and, for its synchroniser, up to two; its UART counts 11 bits a byte, so the line is 8 % slower than a real
+ * one; and its EEPROM writes last no time. */
 #define _GNU_SOURCE
 #include "light.h"
 
@@ -49,7 +51,7 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { HZ = 16000000, BYTE_CYCLES = 1389, SYNC_PIN = 2, TRIGGER_PIN = 4, READY_PIN = 7, ARMED_PIN = 5 };
+enum { HZ = 16000000, BYTE_CYCLES = 1504, SYNC_PIN = 2, TRIGGER_PIN = 4, READY_PIN = 7, ARMED_PIN = 5 };
 enum { VOLT_MV = 5000, UNUSED = 0xC5, RAM_START = 0x100, BOOT_START = 0x7E00 };
 
 static avr_t *avr;
@@ -551,7 +553,9 @@ int main(int count, char **arguments)
     avr->log = LOG_NONE;
     avr->sleep = no_sleep;
     avr->reset = on_reset;
-    load(arguments[1]);
+    if (strcmp(arguments[1], "-") != 0) {
+        load(arguments[1]);
+    }
     if (count == 3) {
         load(arguments[2]);
         avr->reset_pc = avr->pc = BOOT_START;
