@@ -25,11 +25,9 @@ use std::time::{Duration, Instant};
 const SAMPLE_US: u64 = 13;
 /// How long after an edge every sample is simulated, us; longer than the core's window.
 const WINDOW_US: u64 = 25_000;
-/// Samples simulated per turn while nothing happens: enough to keep the core's dark level fresh.
-const IDLE_SAMPLES: u64 = 32;
-/// Samples with which the dark level settles at power-on.
-const SETTLING_SAMPLES: u64 = 4096;
-/// The board's turn, when no byte comes from the host.
+/// Samples of darkness at power-on, so that a shot at once is measured as well as a later one.
+const SETTLING_SAMPLES: u64 = 1024;
+/// The board's turn, when no byte comes from the host; a sample of darkness each, as `CORE_IDLE_US` asks.
 const TURN: Duration = Duration::from_millis(1);
 
 /// How the simulated flash behaves.
@@ -112,7 +110,7 @@ impl Bench {
     /// Lets time pass up to `now`: light first, so that the core never judges a window it has not seen.
     fn advance(&mut self, now: u64) {
         self.sample_until(now.min(self.window_until));
-        self.next_sample = self.next_sample.max(now.saturating_sub(IDLE_SAMPLES * SAMPLE_US));
+        self.next_sample = self.next_sample.max(now);
         self.sample_until(now);
         let rises = self.core.rises();
         let core_time = self.core_time(now);
