@@ -11,6 +11,7 @@ mod fit;
 mod repeat;
 mod trend;
 
+pub(crate) use repeat::FEWEST_SHOTS;
 pub use repeat::{RepeatError, RepeatShot, Repeatability, repeatability};
 pub use trend::{Advice, AdviceCode, Trend, TrendPulse, trend};
 
