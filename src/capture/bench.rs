@@ -212,7 +212,10 @@ impl Bench {
     /// Lets a flash whose link failed go, so that the next use opens it anew.
     pub(super) fn note_flash_error(&mut self, error: &FlashError) {
         match error {
-            FlashError::Open { .. } | FlashError::Silent { .. } | FlashError::Lost { .. } => {
+            FlashError::Open { .. }
+            | FlashError::Firmware { .. }
+            | FlashError::Silent { .. }
+            | FlashError::Lost { .. } => {
                 self.flash = None;
             }
             FlashError::Refused { .. } | FlashError::NotReady { .. } => {}

@@ -109,6 +109,7 @@ impl CaptureError {
         match self {
             CaptureError::Camera(error) => error.code(),
             CaptureError::Flash(FlashError::Open { .. }) => "flash_not_opened",
+            CaptureError::Flash(FlashError::Firmware { .. }) => "flash_firmware",
             CaptureError::Flash(FlashError::Silent { .. }) => "flash_silent",
             CaptureError::Flash(FlashError::Refused { .. }) => "flash_refused",
             CaptureError::Flash(FlashError::NotReady { .. }) => "flash_not_ready",

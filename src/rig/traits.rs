@@ -277,13 +277,24 @@ pub struct FlashStatus {
 #[derive(Debug, thiserror::Error)]
 pub enum FlashError {
     /// The port could not be opened.
-    #[error(
-        "flash controller port {port} cannot be opened: {reason}; is it plugged in, and may you use it (group dialout)?"
-    )]
+    #[error("flash controller port {port} cannot be opened ({reason}): {advice}")]
     Open {
         /// The device path.
         port: String,
         /// What the system said.
+        reason: String,
+        /// What to do.
+        advice: String,
+    },
+    /// Something answers, but not in this program's protocol.
+    #[error(
+        "what is on {port} is no flash controller that this program can speak to: {reason}. If it is your controller, \
+         program it with `unlit flash upload {port}`; else choose another port (`unlit flash ports`)"
+    )]
+    Firmware {
+        /// The device path.
+        port: String,
+        /// What is wrong with its answers.
         reason: String,
     },
     /// The board stays silent.
