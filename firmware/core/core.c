@@ -2,42 +2,51 @@
 
 #include <string.h>
 
-/* True once span_us have passed since then_us; right as long as it is asked within 2^32 us of then. */
+/* One count of a dark level: the fraction keeps 2^20 parts, so that a window's sum of it is right to a count. */
+#define DARK_ONE (UINT32_C(1) << 20)
+
+/* us since then_us. An interrupt may note a moment that lies after now_us, which the main loop took earlier; that
+ * is 0, not nearly 2^32. Right as long as it is asked within 2^31 us of then. */
+static uint32_t elapsed(uint32_t now_us, uint32_t then_us)
+{
+    const uint32_t gone = now_us - then_us;
+    return gone < UINT32_C(0x80000000) ? gone : 0;
+}
+
+/* True once span_us have passed since then_us. */
 static bool passed(uint32_t now_us, uint32_t then_us, uint32_t span_us)
 {
-    return now_us - then_us >= span_us;
+    return elapsed(now_us, then_us) >= span_us;
 }
 
-static void send(struct core *core, const struct line_writer *line)
+static void answer_with(struct core *core, const struct line_writer *line)
 {
-    for (uint8_t i = 0; i < line->length; i++) {
-        core->hal->tx(core->hal->ctx, (uint8_t)line->text[i]);
-    }
-    core->hal->tx(core->hal->ctx, '\n');
+    core->hal->send(core->hal->ctx, line->text, line->length, false);
 }
 
-static void start_event(struct core *core, struct line_writer *line, const char *name)
+static struct line_writer *start_event(struct core *core, LINE_ROM char *name)
 {
+    struct line_writer *line = &core->out;
     core->events++;
     line_start(line);
-    line_text(line, "!");
+    line_text(line, TEXT("!"));
     line_uint(line, core->events);
-    line_text(line, " ");
+    line_text(line, TEXT(" "));
     line_text(line, name);
+    return line;
 }
 
-static void send_event(struct core *core, struct line_writer *line)
+static void send_event(struct core *core)
 {
-    line_seal(line);
-    send(core, line);
+    line_seal(&core->out);
+    core->hal->send(core->hal->ctx, core->out.text, core->out.length, true);
 }
 
-static void tell_disarm(struct core *core, const char *why)
+static void tell_disarm(struct core *core, LINE_ROM char *why)
 {
-    struct line_writer line;
-    start_event(core, &line, "disarm");
-    line_word(&line, "why", why);
-    send_event(core, &line);
+    struct line_writer *line = start_event(core, TEXT("disarm"));
+    line_word(line, TEXT("why"), why);
+    send_event(core);
 }
 
 void core_init(struct core *core, const struct core_hal *hal, const struct core_config *cfg, uint16_t boot,
@@ -45,16 +54,22 @@ void core_init(struct core *core, const struct core_hal *hal, const struct core_
 {
     memset(core, 0, sizeof *core);
     core->hal = hal;
-    core->cfg = *cfg;
+    core_configure(core, cfg);
     core->boot = boot;
     core->rst = rst;
     core->heard_at = now_us;
+    hal->gate(hal->ctx, false);
     hal->trigger(hal->ctx, false);
-    struct line_writer line;
-    start_event(core, &line, "boot");
-    line_pair(&line, "boot", boot);
-    line_pair(&line, "rst", rst);
-    send_event(core, &line);
+    struct line_writer *line = start_event(core, TEXT("boot"));
+    line_pair(line, TEXT("boot"), boot);
+    line_pair(line, TEXT("rst"), rst);
+    send_event(core);
+}
+
+void core_configure(struct core *core, const struct core_config *cfg)
+{
+    core->cfg = *cfg;
+    core->samples_wanted = (uint16_t)(cfg->win_us / CORE_SAMPLE_US);
 }
 
 size_t core_size(void)
@@ -74,104 +89,108 @@ static void begin_shot(struct core *core, uint32_t now_us, bool fired, bool gate
     shot->bn = 0;
     shot->fired = fired;
     shot->gated = gated;
-    shot->b = (uint16_t)((core->dark + 2048u) / 4096u);
-    core->gate_dark = (uint16_t)(core->dark / 65536u + CORE_LIGHT_THRESHOLD);
+    const volatile struct core_dark *dark = &core->dark[core->dark_now];
+    core->dark_then.level = dark->level;
+    core->dark_then.bright = dark->bright;
     core->sum = 0;
-    core->samples = 0;
-    core->samples_wanted = (uint16_t)(core->cfg.win_us / CORE_SAMPLE_US);
+    core->samples_left = core->samples_wanted;
     core->locked_at = now_us;
     core->locked = 1;
     core->measuring = 1;
     core->sampling = 1;
 }
 
-static void raise_trigger(struct core *core, uint32_t now_us)
+static void note_rise(struct core *core, uint32_t now_us)
 {
-    core->hal->trigger(core->hal->ctx, true);
     core->trigger_at = now_us;
     core->trigger_high = 1;
 }
 
-bool core_sync_edge(struct core *core, uint32_t now_us)
+void core_sync_edge(struct core *core, uint32_t now_us, bool gated)
 {
-    /* An open gate implies not locked: arming waits for the lock, and whatever locks closes the gate. */
-    if (core->gate != 0) {
-        raise_trigger(core, now_us);
-        core->gate = 0;
+    if (gated) {
+        note_rise(core, now_us);
         core->used = 1;
         begin_shot(core, now_us, false, true, core->arm_tag);
-        return true;
+    } else if (core->locked == 0) {
+        begin_shot(core, now_us, false, false, 0);
+    } else if (core->measuring != 0 && core->shot.bn < UINT8_MAX) {
+        core->shot.bn++;
     }
-    if (core->locked != 0) {
-        if (core->measuring != 0 && core->shot.bn < UINT8_MAX) {
-            core->shot.bn++;
-        }
-        return false;
-    }
-    begin_shot(core, now_us, false, false, 0);
-    return false;
 }
 
-void core_light_sample(struct core *core, uint16_t counts)
+/* Two running means in a row, each over 2^shift samples: as steady as one over twice as many, but a ripple of the
+ * mains is damped by the square. After boot the shift grows with the number of samples there are. */
+void core_dark_sample(struct core *core, uint16_t counts)
 {
-    if (core->sampling == 0) {
-        /* The tail of a pulse is not darkness, so the dark level rests until the lock is over. */
-        if (core->locked == 0) {
-            core->dark = core->dark == 0 ? (uint32_t)counts * 65536u
-                                         : core->dark - core->dark / 256u + (uint32_t)counts * 256u;
-        }
+    /* The tail of a pulse is not darkness, so the dark level rests until the lock is over. */
+    if (core->locked != 0) {
         return;
     }
-    struct core_shot *shot = &core->shot;
-    core->sum += counts;
-    core->samples++;
-    if (counts > shot->pk) {
-        shot->pk = counts;
+    const uint32_t sample = (uint32_t)counts * DARK_ONE;
+    uint8_t shift = 0;
+    while (shift < CORE_DARK_SHIFT && (core->dark_age >> (shift + 1)) != 0) {
+        shift++;
     }
-    if (counts > core->gate_dark) {
-        shot->w++;
+    if (core->dark_age < UINT8_MAX) {
+        core->dark_age++;
     }
-    if (counts >= CORE_ADC_FULL) {
-        shot->c++;
-    }
-    if (core->samples >= core->samples_wanted) {
-        core->sampling = 0;
-    }
+    uint32_t level = core->dark[core->dark_now].level;
+    core->dark_stage = core->dark_stage - (core->dark_stage >> shift) + (sample >> shift);
+    level = level - (level >> shift) + (core->dark_stage >> shift);
+    const uint8_t other = core->dark_now ^ 1u;
+    core->dark[other].level = level;
+    core->dark[other].bright = (uint16_t)((level + DARK_ONE / 2u) / DARK_ONE + CORE_LIGHT_THRESHOLD);
+    core->dark_now = other;
 }
+
+extern inline void core_light_sample(struct core *core, uint16_t counts);
 
 /* ---- main loop ---- */
 
 void core_shot_fields(struct line_writer *line, const struct core_shot *shot)
 {
-    line_pair(line, "n", shot->n);
-    line_word(line, "src", shot->fired ? "fire" : "sync");
-    line_pair(line, "g", shot->gated ? 1 : 0);
-    line_pair(line, "tag", shot->tag);
-    line_pair(line, "t", shot->t);
-    line_pair(line, "e", shot->e);
-    line_pair(line, "pk", shot->pk);
-    line_pair(line, "b", shot->b);
-    line_pair(line, "w", shot->w);
-    line_pair(line, "c", shot->c);
-    line_pair(line, "bn", shot->bn);
+    line_pair(line, TEXT("n"), shot->n);
+    line_word(line, TEXT("src"), shot->fired ? TEXT("fire") : TEXT("sync"));
+    line_pair(line, TEXT("g"), shot->gated ? 1 : 0);
+    line_pair(line, TEXT("tag"), shot->tag);
+    line_pair(line, TEXT("t"), shot->t);
+    line_signed(line, TEXT("e"), shot->e);
+    line_pair(line, TEXT("pk"), shot->pk);
+    line_pair(line, TEXT("b"), shot->b);
+    line_pair(line, TEXT("w"), shot->w);
+    line_pair(line, TEXT("c"), shot->c);
+    line_pair(line, TEXT("m"), shot->m);
+    line_pair(line, TEXT("bn"), shot->bn);
+}
+
+/* What `samples` samples (at most 60000 us / CORE_SAMPLE_US of them) of the dark level add up to, in counts. Whole
+ * counts and 4096ths apart, because their product with the full fraction would not fit 32 bits. */
+static uint32_t dark_sum(uint16_t samples, uint32_t dark)
+{
+    const uint32_t whole = dark / DARK_ONE;
+    const uint32_t parts = (dark % DARK_ONE + DARK_ONE / 8192u) / (DARK_ONE / 4096u);
+    return samples * whole + (samples * parts + 2048u) / 4096u;
 }
 
 static void report_shot(struct core *core)
 {
+    core->hal->hold(core->hal->ctx, true);
     core->sampling = 0;
+    core->hal->hold(core->hal->ctx, false);
     struct core_shot *shot = &core->shot;
-    const uint32_t dark = ((uint32_t)core->samples * shot->b + 8u) / 16u;
-    shot->e = core->sum > dark ? core->sum - dark : 0;
-    const uint16_t level = (uint16_t)(shot->b / 16u);
-    shot->pk = shot->pk > level ? (uint16_t)(shot->pk - level) : 0;
+    shot->m = (uint16_t)(core->samples_wanted - core->samples_left);
+    shot->e = (int32_t)(core->sum - dark_sum(shot->m, core->dark_then.level));
+    const uint16_t dark = (uint16_t)(core->dark_then.bright - CORE_LIGHT_THRESHOLD);
+    shot->pk = shot->pk > dark ? (uint16_t)(shot->pk - dark) : 0;
+    shot->b = (uint16_t)((core->dark_then.level + DARK_ONE / 32u) / (DARK_ONE / 16u));
     shot->n = ++core->shots;
     core->log[shot->n % CORE_LOG_SIZE] = *shot;
     core->measuring = 0;
 
-    struct line_writer line;
-    start_event(core, &line, "shot");
-    core_shot_fields(&line, &core->log[core->shots % CORE_LOG_SIZE]);
-    send_event(core, &line);
+    struct line_writer *line = start_event(core, TEXT("shot"));
+    core_shot_fields(line, &core->log[core->shots % CORE_LOG_SIZE]);
+    send_event(core);
 }
 
 bool core_charged(const struct core *core)
@@ -184,22 +203,27 @@ uint32_t core_wait_ms(const struct core *core, uint32_t now_us)
     uint32_t wait_us = 0;
     if (core->recycling) {
         const uint32_t span = (uint32_t)core->cfg.rec_ms * 1000u;
-        const uint32_t gone = now_us - core->triggered_at;
+        const uint32_t gone = elapsed(now_us, core->triggered_at);
         wait_us = gone < span ? span - gone : 0;
     }
     if (core->locked != 0) {
         const uint32_t span = (uint32_t)core->cfg.lock_ms * 1000u;
-        const uint32_t gone = now_us - core->locked_at;
+        const uint32_t gone = elapsed(now_us, core->locked_at);
         const uint32_t lock_us = gone < span ? span - gone : 1;
         wait_us = lock_us > wait_us ? lock_us : wait_us;
     }
     return (wait_us + 999u) / 1000u;
 }
 
+bool core_gate_open(const struct core *core)
+{
+    return core->armed && core->used == 0;
+}
+
 /* Closes the gate and forgets a delayed fire. Whatever the interrupt did before the gate closed stands. */
 void core_safe(struct core *core)
 {
-    core->gate = 0;
+    core->hal->gate(core->hal->ctx, false);
     core->fire_pending = false;
     if (core->used == 0) {
         core->armed = false;
@@ -209,22 +233,23 @@ void core_safe(struct core *core)
 static void note_trigger(struct core *core, uint32_t at_us)
 {
     core->triggered_at = at_us;
-    core->recycling = true;
+    core->recycling = core->untold_ready = true;
     core->recent = true;
 }
 
 static void fire_now(struct core *core, uint32_t now_us)
 {
-    /* From here on an edge is a bounce of this shot, unless one came first: then the fire waits its turn. */
-    core->locked_at = now_us;
-    core->locked = 1;
-    if (core->measuring != 0) {
-        return;
+    const struct core_hal *hal = core->hal;
+    hal->hold(hal->ctx, true);
+    /* An edge may have come first; then the fire waits its turn. From here on an edge is a bounce of this shot. */
+    if (core->locked == 0) {
+        hal->trigger(hal->ctx, true);
+        note_rise(core, now_us);
+        begin_shot(core, now_us, true, true, core->fire_tag);
+        core->fire_pending = false;
+        note_trigger(core, now_us);
     }
-    raise_trigger(core, now_us);
-    begin_shot(core, now_us, true, true, core->fire_tag);
-    core->fire_pending = false;
-    note_trigger(core, now_us);
+    hal->hold(hal->ctx, false);
 }
 
 static void watch_contact(struct core *core, uint32_t now_us)
@@ -239,9 +264,8 @@ static void watch_contact(struct core *core, uint32_t now_us)
     }
     if (!core->stuck_told && passed(now_us, core->closed_since, CORE_STUCK_MS * 1000ul)) {
         core->stuck_told = true;
-        struct line_writer line;
-        start_event(core, &line, "stuck");
-        send_event(core, &line);
+        start_event(core, TEXT("stuck"));
+        send_event(core);
     }
 }
 
@@ -250,7 +274,7 @@ static void watch_contact(struct core *core, uint32_t now_us)
 static void end_lock(struct core *core, uint32_t now_us)
 {
     const uint32_t lock_us = (uint32_t)core->cfg.lock_ms * 1000u;
-    if (core->measuring != 0 && passed(now_us, core->shot.t, lock_us)) {
+    if (core->measuring != 0 && passed(now_us, *(const volatile uint32_t *)&core->shot.t, lock_us)) {
         report_shot(core);
     }
     if (core->locked == 0) {
@@ -269,11 +293,11 @@ void core_poll(struct core *core, uint32_t now_us)
         core->hal->trigger(core->hal->ctx, false);
         core->trigger_high = 0;
     }
-    const char *why = NULL;
+    LINE_ROM char *why = NULL;
     if ((core->armed || core->fire_pending) && passed(now_us, core->heard_at, core->cfg.sil_ms * 1000ul)) {
-        why = "silence";
+        why = TEXT("silence");
     } else if (core->armed && passed(now_us, core->armed_at, core->arm_ttl_us)) {
-        why = "ttl";
+        why = TEXT("ttl");
     }
     if (why != NULL) {
         core_safe(core);
@@ -286,7 +310,7 @@ void core_poll(struct core *core, uint32_t now_us)
         core->used = 0;
         core->armed = false;
         note_trigger(core, core->trigger_at);
-        tell_disarm(core, "used");
+        tell_disarm(core, TEXT("used"));
     }
     watch_contact(core, now_us);
     end_lock(core, now_us);
@@ -296,48 +320,50 @@ void core_poll(struct core *core, uint32_t now_us)
     if (core->recent && passed(now_us, core->triggered_at, CORE_TRIGGER_GAP_MS * 1000ul)) {
         core->recent = false;
     }
-    if (core->recycling && passed(now_us, core->triggered_at, core->cfg.rec_ms * 1000ul) && core_charged(core)) {
+    if (core->recycling && passed(now_us, core->triggered_at, core->cfg.rec_ms * 1000ul)) {
         core->recycling = false;
-        struct line_writer line;
-        start_event(core, &line, "ready");
-        send_event(core, &line);
+    }
+    if (core->untold_ready && !core->recycling && core_charged(core)) {
+        core->untold_ready = false;
+        start_event(core, TEXT("ready"));
+        send_event(core);
     }
 }
 
 /* ---- requests ---- */
 
-static const char *error_word(enum line_error error, bool greeted)
+static LINE_ROM char *error_word(enum line_error error, bool greeted)
 {
     switch (error) {
-    case LINE_CRC: return "crc";
-    case LINE_SYNTAX: return "syntax";
-    case LINE_LONG: return "long";
-    case LINE_VERB: return "verb";
-    case LINE_ARG: return "arg";
-    case LINE_SEQ: return "seq";
-    case LINE_HELLO: return greeted ? "strict" : "hello";
-    case LINE_NOTREADY: return "notready";
-    case LINE_BUSY: return "busy";
-    case LINE_RATE: return "rate";
-    case LINE_GONE: return "gone";
+    case LINE_CRC: return TEXT("crc");
+    case LINE_SYNTAX: return TEXT("syntax");
+    case LINE_LONG: return TEXT("long");
+    case LINE_VERB: return TEXT("verb");
+    case LINE_ARG: return TEXT("arg");
+    case LINE_SEQ: return TEXT("seq");
+    case LINE_HELLO: return greeted ? TEXT("strict") : TEXT("hello");
+    case LINE_NOTREADY: return TEXT("notready");
+    case LINE_BUSY: return TEXT("busy");
+    case LINE_RATE: return TEXT("rate");
+    case LINE_GONE: return TEXT("gone");
     case LINE_OK: break;
     }
-    return "ok";
+    return TEXT("ok");
 }
 
 static void start_reply(struct line_writer *line, uint8_t seq)
 {
     line_start(line);
-    line_text(line, "#");
+    line_text(line, TEXT("#"));
     line_uint(line, seq);
 }
 
 static void refuse(struct line_writer *line, uint8_t seq, enum line_error error, bool greeted)
 {
     start_reply(line, seq);
-    line_text(line, " err ");
+    line_text(line, TEXT(" err "));
     line_uint(line, error);
-    line_text(line, " ");
+    line_text(line, TEXT(" "));
     line_text(line, error_word(error, greeted));
     line_seal(line);
 }
@@ -345,7 +371,7 @@ static void refuse(struct line_writer *line, uint8_t seq, enum line_error error,
 static void answer(struct core *core, struct line_request *request, uint32_t now_us, struct line_writer *line)
 {
     start_reply(line, request->seq);
-    line_text(line, " ok");
+    line_text(line, TEXT(" ok"));
     const enum line_error error = core_dispatch(core, request, now_us, line);
     if (error == LINE_OK) {
         line_seal(line);
@@ -358,32 +384,32 @@ static void take_line(struct core *core, uint32_t now_us)
 {
     struct line_request request;
     const enum line_error error = line_parse(core->line, core->line_length, &request);
-    struct line_writer line;
+    struct line_writer *line = &core->out;
     if (error != LINE_OK && request.seq == 0) {
-        refuse(&line, 0, error, core->greeted);
-        send(core, &line);
+        refuse(line, 0, error, core->greeted);
+        answer_with(core, line);
         return;
     }
     if (request.seq == 0) {
         if (core->strict) {
-            refuse(&line, 0, LINE_HELLO, true);
+            refuse(line, 0, LINE_HELLO, true);
         } else {
             core->heard_at = now_us;
-            answer(core, &request, now_us, &line);
+            answer(core, &request, now_us, line);
         }
-        send(core, &line);
+        answer_with(core, line);
         return;
     }
     core->heard_at = now_us;
     /* hello starts a conversation and changes nothing when repeated, so it is carried out every time: a new
      * host must never get the answer that its predecessor had, nor leave the gate as he left it. */
-    const bool hello = error == LINE_OK && strcmp(request.verb, "hello") == 0;
+    const bool hello = error == LINE_OK && line_is(request.verb, TEXT("hello"));
     if (request.seq == core->last_seq && !hello) {
         if (request.crc == core->last_crc) {
-            send(core, &core->reply);
+            answer_with(core, &core->reply);
         } else {
-            refuse(&line, request.seq, LINE_SEQ, core->greeted);
-            send(core, &line);
+            refuse(line, request.seq, LINE_SEQ, core->greeted);
+            answer_with(core, line);
         }
         return;
     }
@@ -394,7 +420,7 @@ static void take_line(struct core *core, uint32_t now_us)
     } else {
         refuse(&core->reply, request.seq, error, core->greeted);
     }
-    send(core, &core->reply);
+    answer_with(core, &core->reply);
 }
 
 void core_rx(struct core *core, uint8_t byte, uint32_t now_us)
@@ -412,9 +438,9 @@ void core_rx(struct core *core, uint8_t byte, uint32_t now_us)
     }
     core_poll(core, now_us); /* so that no request meets a gate whose time is over */
     if (core->line_too_long) {
-        struct line_writer line;
-        refuse(&line, 0, LINE_LONG, core->greeted);
-        send(core, &line);
+        struct line_writer *line = &core->out;
+        refuse(line, 0, LINE_LONG, core->greeted);
+        answer_with(core, line);
     } else if (core->line_length > 0) {
         take_line(core, now_us);
     }

@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-static const char hex_digits[] = "0123456789ABCDEF";
+static LINE_ROM char hex_digits[] = "0123456789ABCDEF";
 
 uint16_t line_crc(const char *text, uint8_t length)
 {
@@ -104,12 +104,14 @@ static enum line_error take_crc(char *text, uint8_t *length, uint16_t *crc, bool
         return LINE_CRC;
     }
     for (uint8_t i = 0; i < 4; i++) {
-        const char c = star[1 + i];
-        const char *digit = c == '\0' ? NULL : strchr(hex_digits, c);
-        if (digit == NULL) {
+        uint8_t digit = 0;
+        while (digit < 16 && hex_digits[digit] != star[1 + i]) {
+            digit++;
+        }
+        if (digit == 16) {
             return LINE_CRC;
         }
-        *crc = (uint16_t)((*crc << 4) | (uint16_t)(digit - hex_digits));
+        *crc = (uint16_t)((*crc << 4) | digit);
     }
     if (*crc != line_crc(text, covered)) {
         return LINE_CRC;
@@ -152,10 +154,19 @@ enum line_error line_parse(char *text, uint8_t length, struct line_request *out)
     return parse_args(at + (end - at), out);
 }
 
-bool line_take(struct line_request *request, const char *key, uint32_t *value)
+bool line_is(const char *word, LINE_ROM char *name)
+{
+    while (*word != '\0' && *word == *name) {
+        word++;
+        name++;
+    }
+    return *word == *name;
+}
+
+bool line_take(struct line_request *request, LINE_ROM char *key, uint32_t *value)
 {
     for (uint8_t i = 0; i < request->count; i++) {
-        if (strcmp(request->args[i].key, key) == 0) {
+        if (line_is(request->args[i].key, key)) {
             request->args[i].taken = true;
             *value = request->args[i].value;
             return true;
@@ -186,7 +197,7 @@ static void put(struct line_writer *line, char c)
     }
 }
 
-void line_text(struct line_writer *line, const char *text)
+void line_text(struct line_writer *line, LINE_ROM char *text)
 {
     while (*text != '\0') {
         put(line, *text++);
@@ -206,20 +217,29 @@ void line_uint(struct line_writer *line, uint32_t value)
     }
 }
 
-static void key_sign(struct line_writer *line, const char *key)
+static void key_sign(struct line_writer *line, LINE_ROM char *key)
 {
     put(line, ' ');
     line_text(line, key);
     put(line, '=');
 }
 
-void line_pair(struct line_writer *line, const char *key, uint32_t value)
+void line_pair(struct line_writer *line, LINE_ROM char *key, uint32_t value)
 {
     key_sign(line, key);
     line_uint(line, value);
 }
 
-void line_word(struct line_writer *line, const char *key, const char *value)
+void line_signed(struct line_writer *line, LINE_ROM char *key, int32_t value)
+{
+    key_sign(line, key);
+    if (value < 0) {
+        put(line, '-');
+    }
+    line_uint(line, value < 0 ? 0u - (uint32_t)value : (uint32_t)value);
+}
+
+void line_word(struct line_writer *line, LINE_ROM char *key, LINE_ROM char *value)
 {
     key_sign(line, key);
     line_text(line, value);
@@ -232,4 +252,5 @@ void line_seal(struct line_writer *line)
     for (uint8_t shift = 16; shift > 0; shift = (uint8_t)(shift - 4)) {
         put(line, hex_digits[(crc >> (shift - 4)) & 0xFu]);
     }
+    put(line, '\n');
 }

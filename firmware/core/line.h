@@ -6,7 +6,16 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-enum { LINE_REQUEST_MAX = 96, LINE_TEXT_MAX = 160, LINE_ARGS_MAX = 6 };
+/* Constant text. On the AVR it stays in the program's memory: constants would fill a fifth of its RAM. */
+#ifdef __AVR__
+#define LINE_ROM const __flash
+#define TEXT(text) (__extension__({ static LINE_ROM char rom[] = text; &rom[0]; }))
+#else
+#define LINE_ROM const
+#define TEXT(text) (text)
+#endif
+
+enum { LINE_REQUEST_MAX = 96, LINE_TEXT_MAX = 140, LINE_ARGS_MAX = 6 };
 
 /* Why a request is refused; the numbers go over the wire. */
 enum line_error {
@@ -45,8 +54,10 @@ uint16_t line_crc(const char *text, uint8_t length);
  * the request's number only if its CRC was right, else 0: a number out of a damaged line means nothing. */
 enum line_error line_parse(char *text, uint8_t length, struct line_request *out);
 
+bool line_is(const char *word, LINE_ROM char *name);
+
 /* Fetches the argument key and marks it taken. False if it is not there. */
-bool line_take(struct line_request *request, const char *key, uint32_t *value);
+bool line_take(struct line_request *request, LINE_ROM char *key, uint32_t *value);
 
 /* True once every argument has been taken. */
 bool line_all_taken(const struct line_request *request);
@@ -58,12 +69,13 @@ struct line_writer {
 };
 
 void line_start(struct line_writer *line);
-void line_text(struct line_writer *line, const char *text);
+void line_text(struct line_writer *line, LINE_ROM char *text);
 void line_uint(struct line_writer *line, uint32_t value);
 /* Appends " key=value". */
-void line_pair(struct line_writer *line, const char *key, uint32_t value);
-void line_word(struct line_writer *line, const char *key, const char *value);
-/* Appends "*HEX4", the checksum of all before it. */
+void line_pair(struct line_writer *line, LINE_ROM char *key, uint32_t value);
+void line_signed(struct line_writer *line, LINE_ROM char *key, int32_t value);
+void line_word(struct line_writer *line, LINE_ROM char *key, LINE_ROM char *value);
+/* Appends "*HEX4", the checksum of all before it, and the line end. */
 void line_seal(struct line_writer *line);
 
 #endif

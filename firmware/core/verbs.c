@@ -3,58 +3,59 @@
 
 #include <string.h>
 
-enum { TTL_MAX_MS = 60000, FIRE_DELAY_MAX_US = 10000000 };
+#define TTL_MAX_MS UINT32_C(60000)
+#define FIRE_DELAY_MAX_US UINT32_C(10000000)
 
 static enum line_error hello(struct core *core, struct line_request *request, uint32_t now_us,
                              struct line_writer *reply)
 {
     uint32_t version = 0;
     uint32_t strict = 0;
-    if (!line_take(request, "v", &version) || version != 1) {
+    if (!line_take(request, TEXT("v"), &version) || version != 1) {
         return LINE_ARG;
     }
-    line_take(request, "strict", &strict);
+    line_take(request, TEXT("strict"), &strict);
     if (strict > 1 || !line_all_taken(request)) {
         return LINE_ARG;
     }
     core_safe(core);
     core->greeted = true;
     core->strict = strict == 1;
-    line_pair(reply, "v", 1);
-    line_word(reply, "fw", "1.0");
-    line_word(reply, "mcu", core->hal->mcu);
-    line_pair(reply, "boot", core->boot);
-    line_pair(reply, "rst", core->rst);
-    line_word(reply, "caps", "sync,fire,light");
-    line_pair(reply, "ev", core->events);
-    line_pair(reply, "n", core->shots);
-    line_pair(reply, "t", now_us);
+    line_pair(reply, TEXT("v"), 1);
+    line_word(reply, TEXT("fw"), TEXT("1.1"));
+    line_word(reply, TEXT("mcu"), core->hal->mcu);
+    line_pair(reply, TEXT("boot"), core->boot);
+    line_pair(reply, TEXT("rst"), core->rst);
+    line_word(reply, TEXT("caps"), TEXT("sync,fire,light"));
+    line_pair(reply, TEXT("ev"), core->events);
+    line_pair(reply, TEXT("n"), core->shots);
+    line_pair(reply, TEXT("t"), now_us);
     return LINE_OK;
 }
 
 static enum line_error ping(struct core *core, uint32_t now_us, struct line_writer *reply)
 {
-    line_pair(reply, "t", now_us);
-    line_pair(reply, "g", core->gate);
-    line_pair(reply, "ev", core->events);
-    line_pair(reply, "n", core->shots);
+    line_pair(reply, TEXT("t"), now_us);
+    line_pair(reply, TEXT("g"), core_gate_open(core));
+    line_pair(reply, TEXT("ev"), core->events);
+    line_pair(reply, TEXT("n"), core->shots);
     return LINE_OK;
 }
 
 static enum line_error stat(struct core *core, uint32_t now_us, struct line_writer *reply)
 {
-    line_pair(reply, "t", now_us);
-    line_pair(reply, "g", core->gate);
-    line_pair(reply, "fire", core->fire_pending);
-    line_pair(reply, "hello", core->greeted);
-    line_pair(reply, "ready", !core->recycling && core->locked == 0 && core_charged(core));
-    line_pair(reply, "wait", core_wait_ms(core, now_us));
-    line_pair(reply, "closed", core->contact_closed);
-    line_pair(reply, "n", core->shots);
+    line_pair(reply, TEXT("t"), now_us);
+    line_pair(reply, TEXT("g"), core_gate_open(core));
+    line_pair(reply, TEXT("fire"), core->fire_pending);
+    line_pair(reply, TEXT("hello"), core->greeted);
+    line_pair(reply, TEXT("ready"), !core->recycling && core->locked == 0 && core_charged(core));
+    line_pair(reply, TEXT("wait"), core_wait_ms(core, now_us));
+    line_pair(reply, TEXT("closed"), core->contact_closed);
+    line_pair(reply, TEXT("n"), core->shots);
     return LINE_OK;
 }
 
-static enum line_error setting(struct line_request *request, const char *key, uint32_t low, uint32_t high,
+static enum line_error setting(struct line_request *request, LINE_ROM char *key, uint32_t low, uint32_t high,
                                uint16_t *target)
 {
     uint32_t value = 0;
@@ -72,12 +73,12 @@ static enum line_error cfg(struct core *core, struct line_request *request, stru
 {
     struct core_config next = core->cfg;
     uint16_t rdy = next.rdy;
-    const bool wrong = setting(request, "sil", 200, 60000, &next.sil_ms) != LINE_OK ||
-                       setting(request, "pulse", 10, 20000, &next.pulse_us) != LINE_OK ||
-                       setting(request, "lock", 1, 1000, &next.lock_ms) != LINE_OK ||
-                       setting(request, "win", 100, 60000, &next.win_us) != LINE_OK ||
-                       setting(request, "rec", 0, 60000, &next.rec_ms) != LINE_OK ||
-                       setting(request, "rdy", 0, 1, &rdy) != LINE_OK;
+    const bool wrong = setting(request, TEXT("sil"), 200, 60000, &next.sil_ms) != LINE_OK ||
+                       setting(request, TEXT("pulse"), 10, 20000, &next.pulse_us) != LINE_OK ||
+                       setting(request, TEXT("lock"), 1, 1000, &next.lock_ms) != LINE_OK ||
+                       setting(request, TEXT("win"), 100, 60000, &next.win_us) != LINE_OK ||
+                       setting(request, TEXT("rec"), 0, 60000, &next.rec_ms) != LINE_OK ||
+                       setting(request, TEXT("rdy"), 0, 1, &rdy) != LINE_OK;
     if (wrong || !line_all_taken(request) || next.win_us > next.lock_ms * 1000ul) {
         return LINE_ARG;
     }
@@ -86,13 +87,13 @@ static enum line_error cfg(struct core *core, struct line_request *request, stru
         return LINE_BUSY;
     }
     next.rdy = (uint8_t)rdy;
-    core->cfg = next;
-    line_pair(reply, "sil", next.sil_ms);
-    line_pair(reply, "pulse", next.pulse_us);
-    line_pair(reply, "lock", next.lock_ms);
-    line_pair(reply, "win", next.win_us);
-    line_pair(reply, "rec", next.rec_ms);
-    line_pair(reply, "rdy", next.rdy);
+    core_configure(core, &next);
+    line_pair(reply, TEXT("sil"), next.sil_ms);
+    line_pair(reply, TEXT("pulse"), next.pulse_us);
+    line_pair(reply, TEXT("lock"), next.lock_ms);
+    line_pair(reply, TEXT("win"), next.win_us);
+    line_pair(reply, TEXT("rec"), next.rec_ms);
+    line_pair(reply, TEXT("rdy"), next.rdy);
     return LINE_OK;
 }
 
@@ -115,7 +116,7 @@ static enum line_error arm(struct core *core, struct line_request *request, uint
 {
     uint32_t tag = 0;
     uint32_t ttl = 0;
-    if (!line_take(request, "tag", &tag) || !line_take(request, "ttl", &ttl) || !line_all_taken(request) ||
+    if (!line_take(request, TEXT("tag"), &tag) || !line_take(request, TEXT("ttl"), &ttl) || !line_all_taken(request) ||
         tag == 0 || ttl == 0 || ttl > TTL_MAX_MS) {
         return LINE_ARG;
     }
@@ -126,17 +127,24 @@ static enum line_error arm(struct core *core, struct line_request *request, uint
     core->arm_tag = tag;
     core->armed_at = now_us;
     core->arm_ttl_us = ttl * 1000u;
-    core->armed = true;
-    core->gate = 1; /* last: from here on the interrupt may read what stands above */
-    return LINE_OK;
+    /* An edge since the question above has started a lock, and a bounce of it must not find the gate open. */
+    const struct core_hal *hal = core->hal;
+    hal->hold(hal->ctx, true);
+    const bool free = core->locked == 0;
+    if (free) {
+        core->armed = true;
+        hal->gate(hal->ctx, true);
+    }
+    hal->hold(hal->ctx, false);
+    return free ? LINE_OK : LINE_NOTREADY;
 }
 
 static enum line_error fire(struct core *core, struct line_request *request, uint32_t now_us)
 {
     uint32_t delay = 0;
     uint32_t tag = 0;
-    line_take(request, "d", &delay);
-    line_take(request, "tag", &tag);
+    line_take(request, TEXT("d"), &delay);
+    line_take(request, TEXT("tag"), &tag);
     if (!line_all_taken(request) || delay > FIRE_DELAY_MAX_US) {
         return LINE_ARG;
     }
@@ -154,20 +162,21 @@ static enum line_error fire(struct core *core, struct line_request *request, uin
 static enum line_error adc(struct core *core, struct line_request *request, struct line_writer *reply)
 {
     uint32_t channel = 0;
-    if (!line_take(request, "ch", &channel) || !line_all_taken(request) || channel >= core->hal->adc_channels) {
+    if (!line_take(request, TEXT("ch"), &channel) || !line_all_taken(request) || channel >= core->hal->adc_channels) {
         return LINE_ARG;
     }
-    if (core->measuring != 0) {
+    const uint16_t counts = core->measuring != 0 ? CORE_ADC_NONE : core->hal->adc(core->hal->ctx, (uint8_t)channel);
+    if (counts == CORE_ADC_NONE) {
         return LINE_BUSY;
     }
-    line_pair(reply, "v", core->hal->adc(core->hal->ctx, (uint8_t)channel));
+    line_pair(reply, TEXT("v"), counts);
     return LINE_OK;
 }
 
 static enum line_error get(struct core *core, struct line_request *request, struct line_writer *reply)
 {
     uint32_t n = 0;
-    if (!line_take(request, "n", &n) || !line_all_taken(request)) {
+    if (!line_take(request, TEXT("n"), &n) || !line_all_taken(request)) {
         return LINE_ARG;
     }
     if (n == 0 || n > core->shots || core->shots - n >= CORE_LOG_SIZE) {
@@ -181,32 +190,32 @@ enum line_error core_dispatch(struct core *core, struct line_request *request, u
                               struct line_writer *reply)
 {
     const char *verb = request->verb;
-    if (strcmp(verb, "hello") == 0) {
+    if (line_is(verb, TEXT("hello"))) {
         return hello(core, request, now_us, reply);
     }
-    if (strcmp(verb, "cfg") == 0) {
+    if (line_is(verb, TEXT("cfg"))) {
         return cfg(core, request, reply);
     }
-    if (strcmp(verb, "arm") == 0) {
+    if (line_is(verb, TEXT("arm"))) {
         return arm(core, request, now_us);
     }
-    if (strcmp(verb, "fire") == 0) {
+    if (line_is(verb, TEXT("fire"))) {
         return fire(core, request, now_us);
     }
-    if (strcmp(verb, "adc") == 0) {
+    if (line_is(verb, TEXT("adc"))) {
         return adc(core, request, reply);
     }
-    if (strcmp(verb, "get") == 0) {
+    if (line_is(verb, TEXT("get"))) {
         return get(core, request, reply);
     }
     const bool alone = request->count == 0;
-    if (strcmp(verb, "ping") == 0) {
+    if (line_is(verb, TEXT("ping"))) {
         return alone ? ping(core, now_us, reply) : LINE_ARG;
     }
-    if (strcmp(verb, "stat") == 0) {
+    if (line_is(verb, TEXT("stat"))) {
         return alone ? stat(core, now_us, reply) : LINE_ARG;
     }
-    if (strcmp(verb, "disarm") == 0) {
+    if (line_is(verb, TEXT("disarm"))) {
         if (!alone) {
             return LINE_ARG;
         }

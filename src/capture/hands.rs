@@ -104,8 +104,12 @@ impl Hands<'_> {
 
     /// The syncs since the last count; `None` where no controller counts.
     pub(super) fn count(&mut self) -> Result<Option<Vec<FlashSync>>, CaptureError> {
-        let FlashKind::Controller(flash) = self.bench.flash()? else { return Ok(None) };
-        let syncs = flash.syncs(SYNC_PATIENCE);
+        let syncs = match self.bench.flash()? {
+            FlashKind::Controller(flash) => flash.syncs(SYNC_PATIENCE),
+            FlashKind::Manual => return Ok(None),
+            // A controller that went in the middle of a pair must not pass for one that was never there.
+            FlashKind::None => return Err(CaptureError::NoFlash),
+        };
         syncs.map(Some).map_err(|error| self.flash_failed(error))
     }
 

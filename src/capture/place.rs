@@ -2,6 +2,7 @@
 
 use crate::pair::{Expected, FlashRecord, FrameRecord, PairRecord, Plan, Reason, Settings, Stop, Window};
 use crate::photometry::saturation::SaturationTable;
+use crate::pipeline::flash::SHOT_RECORD;
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::stops::{Delivery, Earlier};
 use crate::rig::Shot;
@@ -200,8 +201,6 @@ pub struct CalibrationShot {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub flash: Option<FlashRecord>,
 }
-
-const SHOT_RECORD: &str = "shot.json";
 
 /// `calibration/flash` of a session.
 fn shots_dir(session: &Session) -> PathBuf {

@@ -167,6 +167,8 @@ pub(super) struct FlashBody {
     pulses_on: usize,
     /// Energy of the pulse in the board's own counts.
     energy_counts: Option<f64>,
+    /// What that proves, in one sentence.
+    words: String,
 }
 
 /// One pair.
@@ -220,6 +222,7 @@ impl PairBody {
                 pulses_off: f.pulses_off(),
                 pulses_on: f.pulses_on(),
                 energy_counts: f.energy_counts(),
+                words: f.words(),
             }),
         }
     }

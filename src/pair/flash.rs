@@ -79,6 +79,25 @@ impl FlashRecord {
         triggered.next().filter(|_| triggered.next().is_none())
     }
 
+    /// What the account proves, in one sentence.
+    pub fn words(&self) -> String {
+        let dark = match (self.off.len(), self.off.iter().any(|s| s.triggered || s.light().is_some())) {
+            (0, _) => "nothing proves the frame without flash dark",
+            (_, true) => "light fell on the frame without flash",
+            (_, false) => "the frame without flash is proven dark",
+        };
+        let lit = match (self.pulses_on(), self.pulse()) {
+            (1, Some(pulse)) => match (pulse.light(), pulse.clipped_samples) {
+                (Some(energy), 0) => format!("one pulse of {energy:.0} counts lit the other"),
+                (Some(_), _) => "one pulse lit the other, too bright for the photodiode to measure".into(),
+                (None, _) => "one trigger for the other, whose light the photodiode did not see".into(),
+            },
+            (0, _) => "no trigger came for the other".into(),
+            (n, _) => format!("{n} triggers came for the other"),
+        };
+        format!("Controller: {dark}; {lit}.")
+    }
+
     /// Energy of that pulse in the board's counts, where it was measured.
     pub fn energy_counts(&self) -> Option<f64> {
         self.pulse().and_then(FlashSync::measured)

@@ -2,6 +2,7 @@
 
 mod agreement;
 mod checks;
+pub mod energy;
 pub mod finding;
 mod flash;
 mod light;

@@ -5,6 +5,7 @@
 //! delivered twice, the controller's counts a pulse that was weaker than usual.
 
 use crate::codec::raw;
+use crate::pair::energy::median;
 use crate::pair::{
     EarlierStops, EnergyExpectation, Expected, Exposure, Files, FlashRecord, Limits, PairRecord, Plan, Role,
     Settings, Stop, StopKey, Verdict,
@@ -160,12 +161,6 @@ impl EarlierStops for Earlier {
 
 fn file_name(number: u32) -> String {
     format!("{number:04}.json")
-}
-
-fn median(values: &[f64]) -> Option<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied()
 }
 
 fn folder(session: &Session) -> PathBuf {

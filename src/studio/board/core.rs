@@ -34,8 +34,10 @@ impl Default for Config {
 #[repr(C)]
 struct Hal {
     ctx: *mut c_void,
-    tx: unsafe extern "C" fn(*mut c_void, u8),
+    send: unsafe extern "C" fn(*mut c_void, *const c_char, u8, bool),
     trigger: unsafe extern "C" fn(*mut c_void, bool),
+    gate: unsafe extern "C" fn(*mut c_void, bool),
+    hold: unsafe extern "C" fn(*mut c_void, bool),
     adc: unsafe extern "C" fn(*mut c_void, u8) -> u16,
     sync_closed: unsafe extern "C" fn(*mut c_void) -> bool,
     charged: unsafe extern "C" fn(*mut c_void) -> bool,
@@ -47,8 +49,9 @@ unsafe extern "C" {
     fn core_init(core: *mut c_void, hal: *const Hal, cfg: *const Config, boot: u16, rst: u8, now_us: u32);
     fn core_poll(core: *mut c_void, now_us: u32);
     fn core_rx(core: *mut c_void, byte: u8, now_us: u32);
-    fn core_sync_edge(core: *mut c_void, now_us: u32) -> bool;
+    fn core_sync_edge(core: *mut c_void, now_us: u32, gated: bool);
     fn core_light_sample(core: *mut c_void, counts: u16);
+    fn core_dark_sample(core: *mut c_void, counts: u16);
     fn core_size() -> usize;
 }
 
@@ -57,6 +60,8 @@ unsafe extern "C" {
 pub(super) struct Pins {
     /// Bytes sent and not yet fetched.
     sent: Vec<u8>,
+    /// The gate between the sync contact and the trigger.
+    gate_open: bool,
     /// Level of the trigger.
     trigger_high: bool,
     /// How often the trigger rose.
@@ -69,17 +74,31 @@ pub(super) struct Pins {
     pub(super) charged: bool,
 }
 
-/// SAFETY of the five callbacks: `ctx` is `Core::pins`, alive as long as the core, and the core calls them only
+impl Pins {
+    fn set_trigger(&mut self, high: bool) {
+        self.rises += u32::from(high && !self.trigger_high);
+        self.trigger_high = high;
+    }
+}
+
+/// SAFETY of the callbacks: `ctx` is `Core::pins`, alive as long as the core, and the core calls them only
 /// from inside a method that holds `&mut Core` and no reference to the pins.
-unsafe extern "C" fn on_tx(ctx: *mut c_void, byte: u8) {
-    unsafe { &mut *ctx.cast::<Pins>() }.sent.push(byte);
+unsafe extern "C" fn on_send(ctx: *mut c_void, line: *const c_char, length: u8, _event: bool) {
+    // SAFETY: the core passes a buffer of its own that holds `length` bytes and lasts beyond this call.
+    let line = unsafe { std::slice::from_raw_parts(line.cast::<u8>(), usize::from(length)) };
+    unsafe { &mut *ctx.cast::<Pins>() }.sent.extend_from_slice(line);
 }
 
 unsafe extern "C" fn on_trigger(ctx: *mut c_void, high: bool) {
-    let pins = unsafe { &mut *ctx.cast::<Pins>() };
-    pins.rises += u32::from(high && !pins.trigger_high);
-    pins.trigger_high = high;
+    unsafe { &mut *ctx.cast::<Pins>() }.set_trigger(high);
 }
+
+unsafe extern "C" fn on_gate(ctx: *mut c_void, open: bool) {
+    unsafe { &mut *ctx.cast::<Pins>() }.gate_open = open;
+}
+
+/// Nothing interrupts the simulated board: it calls the core from one place at a time.
+unsafe extern "C" fn on_hold(_ctx: *mut c_void, _on: bool) {}
 
 unsafe extern "C" fn on_adc(ctx: *mut c_void, _channel: u8) -> u16 {
     unsafe { &*ctx.cast::<Pins>() }.adc
@@ -112,8 +131,10 @@ impl Core {
         let pins = Box::into_raw(Box::new(Pins { charged: true, ..Pins::default() }));
         let hal = Box::pin(Hal {
             ctx: pins.cast(),
-            tx: on_tx,
+            send: on_send,
             trigger: on_trigger,
+            gate: on_gate,
+            hold: on_hold,
             adc: on_adc,
             sync_closed: on_sync_closed,
             charged: on_charged,
@@ -148,14 +169,23 @@ impl Core {
 
     /// The sync contact closes. True if the trigger was raised.
     pub(super) fn sync_edge(&mut self, now_us: u32) -> bool {
+        let pins = self.pins();
+        let gated = std::mem::take(&mut pins.gate_open);
+        if gated {
+            pins.set_trigger(true);
+        }
         // SAFETY: initialised in `new`.
-        unsafe { core_sync_edge(self.pointer(), now_us) }
+        unsafe { core_sync_edge(self.pointer(), now_us, gated) }
+        gated
     }
 
-    /// One photodiode sample in counts.
+    /// One photodiode sample in counts: of the window of a shot, if there is one, or of the darkness between.
     pub(super) fn light_sample(&mut self, counts: u16) {
         // SAFETY: initialised in `new`.
-        unsafe { core_light_sample(self.pointer(), counts) }
+        unsafe {
+            core_light_sample(self.pointer(), counts);
+            core_dark_sample(self.pointer(), counts);
+        }
     }
 
     /// The input pins.
