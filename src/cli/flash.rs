@@ -4,7 +4,7 @@ use super::devices::recycle_time;
 use super::{CliError, CliResult, Exit};
 use crate::rig::flash::ports::{self, Port};
 use crate::rig::flash::trial::{self, BeforeTrial, TrialShot};
-use crate::rig::flash::upload::{BoardKind, Upload};
+use crate::rig::flash::upload::{self, BoardKind, Upload};
 use crate::rig::flash::{FlashSettings, Greeting, SerialFlash, greet};
 use crate::rig::system::{Identity, Roots};
 use crate::studio::{BlankBoard, Board, BoardOptions, SyncContact};
@@ -12,7 +12,7 @@ use clap::Subcommand;
 use serde_json::json;
 use std::ffi::OsString;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -63,9 +63,9 @@ pub(super) enum Flash {
         /// Kind of board; without it what the USB device looks like.
         #[arg(long, value_parser = kind)]
         board: Option<BoardKind>,
-        /// Intel HEX file with the program.
+        /// Intel HEX file with the program; without it the one that this program brings along.
         #[arg(long, value_name = "FILE")]
-        hex: PathBuf,
+        hex: Option<PathBuf>,
         /// avrdude's name or path.
         #[arg(long, value_name = "PROGRAM", default_value = "avrdude")]
         avrdude: OsString,
@@ -92,9 +92,9 @@ fn kind(name: &str) -> Result<BoardKind, String> {
 pub(super) fn run(what: &Flash) -> CliResult {
     match what {
         Flash::Ports { ask, json, studio } => list(*ask, *json, *studio),
-        Flash::Test { at, shots, recycle, json } => test(at, *shots, *recycle, *json),
+        Flash::Test { at, shots, recycle, json } => try_out(at, *shots, *recycle, *json),
         Flash::Watch { at, json } => watch(at, *json),
-        Flash::Upload { at, board, hex, avrdude } => upload(at, *board, hex, avrdude),
+        Flash::Upload { at, board, hex, avrdude } => program(at, *board, hex.clone(), avrdude),
     }
 }
 
@@ -174,7 +174,7 @@ fn show_port(port: &Port) {
     }
 }
 
-fn test(at: &At, shots: u32, recycle: Option<Duration>, json: bool) -> CliResult {
+fn try_out(at: &At, shots: u32, recycle: Option<Duration>, json: bool) -> CliResult {
     let (mut flash, _board) = open(at, FlashSettings { recycle, ..FlashSettings::default() })?;
     let before = trial::before(&mut flash).map_err(CliError::new)?;
     if !json {
@@ -257,18 +257,18 @@ fn watch(at: &At, json: bool) -> CliResult {
     Ok(Exit::Success)
 }
 
-fn upload(at: &At, board: Option<BoardKind>, hex: &Path, avrdude: &OsString) -> CliResult {
+fn program(at: &At, board: Option<BoardKind>, hex: Option<PathBuf>, avrdude: &OsString) -> CliResult {
     let (roots, me) = (Roots::default(), Identity::own());
     let blank =
         at.studio.then(|| BlankBoard::start(BoardOptions::default())).transpose().map_err(CliError::new)?;
     let path = match (&blank, &at.port) {
         (Some(blank), _) => blank.port(),
         (None, Some(port)) => port.clone(),
-        (None, None) => the_port()?,
+        (None, None) => upload::choose_port().map_err(CliError::new)?,
     };
     let port = ports::look_at(&path, &roots, &me);
     let kinds = board.map_or_else(|| BoardKind::guess(&port).to_vec(), |kind| vec![kind]);
-    let upload = Upload { port: path, kinds, hex: hex.to_owned(), avrdude: avrdude.clone() };
+    let upload = Upload { port: path, kinds, hex, avrdude: avrdude.clone() };
     upload.check_free(&port).map_err(CliError::new)?;
     let greeting = upload.run(|words| eprint!("{words}")).map_err(CliError::new)?;
     println!(
@@ -278,16 +278,4 @@ fn upload(at: &At, board: Option<BoardKind>, hex: &Path, avrdude: &OsString) -> 
         upload.port.display()
     );
     Ok(Exit::Success)
-}
-
-/// The only port; of several, the one where a controller answers. An empty board does not, and must be named.
-fn the_port() -> Result<PathBuf, CliError> {
-    let mut ports = ports::list();
-    match ports.len() {
-        0 => Err(no_port()),
-        1 => Ok(ports.remove(0)),
-        _ => ports.into_iter().find(|port| greet(port).is_ok()).ok_or_else(|| {
-            CliError::new("there are several serial ports, and no controller answers yet: name the port (`unlit flash ports`)")
-        }),
-    }
 }

@@ -14,6 +14,5 @@ pub mod world;
 
 pub use crate::codec::cr2;
 pub use blank::BlankBoard;
-pub use board::{Board, BoardOptions};
 pub use board::{Board, BoardOptions, Heat, LampOptions, Recharge, Rise};
 pub use wires::{SyncContact, View};

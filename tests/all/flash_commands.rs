@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 use unlit::rig::flash::ports::Port;
-use unlit::rig::flash::upload::{BoardKind, Upload, UploadError};
+use unlit::rig::flash::upload::{BoardKind, FIRMWARE, Upload, UploadError};
 use unlit::rig::system::Holder;
 use unlit::studio::{BlankBoard, BoardOptions};
 
@@ -107,7 +107,7 @@ impl Bench {
         Upload {
             port: self.board.port(),
             kinds: kinds.to_vec(),
-            hex: hex.to_owned(),
+            hex: Some(hex.to_owned()),
             avrdude: OsString::from("avrdude"),
         }
     }
@@ -162,15 +162,15 @@ fn upload_without_avrdude_port_or_program_says_so() {
     assert!(words.contains("/no/avrdude") && words.contains("apt install avrdude"), "{words}");
     let words = run(Upload { port: "/dev/unlit-no-such-port".into(), ..upload.clone() });
     assert!(words.contains("/dev/unlit-no-such-port is not there"), "{words}");
-    let words = run(Upload { hex: "/no/program.hex".into(), ..upload.clone() });
+    let words = run(Upload { hex: Some("/no/program.hex".into()), ..upload.clone() });
     assert!(words.contains("/no/program.hex"), "{words}");
     let text = bench.folder.path().join("notes.txt");
     std::fs::write(&text, "no program\n").unwrap();
-    assert!(run(Upload { hex: text, ..upload.clone() }).contains("instead of a colon"));
+    assert!(run(Upload { hex: Some(text), ..upload.clone() }).contains("instead of a colon"));
     let short = bench.folder.path().join("short.hex");
     let whole = std::fs::read_to_string(&hex).unwrap();
     std::fs::write(&short, &whole[..whole.len() / 2]).unwrap();
-    assert!(run(Upload { hex: short, ..upload }).contains("end record"));
+    assert!(run(Upload { hex: Some(short), ..upload }).contains("end record"));
 }
 
 #[test]
@@ -182,21 +182,15 @@ fn a_port_that_somebody_has_open_is_not_programmed() {
         usable: true,
         held_by: vec![Holder { name: "unlit".into(), id: 77 }],
     };
-    let upload =
-        Upload { port: port.path.clone(), kinds: vec![], hex: "x.hex".into(), avrdude: "avrdude".into() };
+    let upload = Upload { port: port.path.clone(), kinds: vec![], hex: None, avrdude: "avrdude".into() };
     let error = upload.check_free(&port).unwrap_err().to_string();
     assert!(error.contains("by unlit (process 77)"), "{error}");
 }
 
 #[test]
 fn the_command_line_fits_the_kind_of_board() {
-    let upload = Upload {
-        port: "/dev/ttyUSB7".into(),
-        kinds: vec![],
-        hex: "/tmp/a b.hex".into(),
-        avrdude: "avrdude".into(),
-    };
-    let words = upload.command(BoardKind::NanoOld);
+    let upload = Upload { port: "/dev/ttyUSB7".into(), kinds: vec![], hex: None, avrdude: "avrdude".into() };
+    let words = upload.command(BoardKind::NanoOld, Path::new("/tmp/a b.hex"));
     let words: Vec<&str> = words.iter().map(|word| word.to_str().unwrap()).collect();
     assert_eq!(
         words.join("|"),
@@ -205,10 +199,26 @@ fn the_command_line_fits_the_kind_of_board() {
 }
 
 #[test]
-fn upload_from_the_command_line_programs_a_simulated_board() {
+fn the_packed_program_goes_to_the_board_whole() {
     let Some(bench) = Bench::new() else { return };
-    let (hex, _) = program(bench.folder.path(), 700);
-    let output = unlit(&["upload", "--studio", "--hex", hex.to_str().unwrap()]);
+    let upload = Upload { hex: None, ..bench.upload(Path::new(""), &[BoardKind::Uno]) };
+    upload.run(|_| {}).unwrap();
+    let used = bench.board.flash().iter().rposition(|byte| *byte != 0xFF).unwrap() + 1;
+    let records = String::from_utf8_lossy(FIRMWARE);
+    let data: usize = records
+        .lines()
+        .filter(|line| line.get(7..9) == Some("00"))
+        .map(|line| usize::from_str_radix(&line[1..3], 16).unwrap())
+        .sum();
+    assert!(used.abs_diff(data) <= 16, "{used} bytes in the board, {data} in the file");
+}
+
+#[test]
+fn upload_from_the_command_line_programs_a_simulated_board() {
+    if Bench::new().is_none() {
+        return;
+    }
+    let output = unlit(&["upload", "--studio"]);
     let text = said(&output);
     assert!(output.status.success() && text.contains("Programmed: flash controller"), "{text}");
 }

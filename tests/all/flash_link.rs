@@ -102,7 +102,8 @@ fn a_restart_right_behind_the_answer_to_arm_is_not_passed_over() {
         said
     });
     let mut flash = SerialFlash::open(wire.device()).unwrap();
-    is_lost(flash.arm(1, TTL), "restarted");
+    let counted = flash.arm(1, TTL).and_then(|()| flash.syncs(Duration::ZERO));
+    is_lost(counted, "restarted");
     flash.arm(2, TTL).unwrap();
     assert_eq!(flash.syncs(Duration::ZERO).unwrap(), []);
 }
@@ -214,12 +215,33 @@ fn a_link_that_breaks_between_arming_and_count_keeps_what_the_same_boot_counted(
     flash.disarm().unwrap();
     drop(wire);
     socket.unplug();
+    until("loss", || !flash.status().ready);
     // The board has its own power, and counts on.
     book.lock().unwrap().shots = 2;
     let wire = plug(&book);
     socket.plug(wire.device());
     let syncs = flash.syncs(Duration::ZERO).unwrap();
     assert_eq!(syncs.iter().map(|sync| sync.number).collect::<Vec<_>>(), [1, 2]);
+}
+
+#[test]
+fn a_link_that_breaks_while_the_gate_is_open_has_the_frame_taken_again() {
+    let board = Board::start(quick()).unwrap();
+    let mut flash = SerialFlash::open(board.device()).unwrap();
+    flash.arm(1, TTL).unwrap();
+    board.unplug(false).unwrap();
+    until("loss", || !flash.status().ready);
+    board.plug_in().unwrap();
+    until("return", || flash.status().ready);
+    assert_eq!(board.close(), 0.0, "the greeting has closed the gate");
+    is_lost(flash.syncs(PATIENCE), "while the gate was open");
+    // Had the sync come before, everything would be proven.
+    flash.arm(2, TTL).unwrap();
+    board.unplug(false).unwrap();
+    assert!(board.close() > 0.9, "the board has not heard of it yet");
+    board.plug_in().unwrap();
+    let syncs = flash.syncs(PATIENCE).or_else(|_| flash.syncs(PATIENCE)).unwrap();
+    assert_eq!(syncs.iter().map(|sync| (sync.tag, sync.triggered)).collect::<Vec<_>>(), [(2, true)]);
 }
 
 #[test]

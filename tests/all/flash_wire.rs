@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 /// A strange board: what it says to each line that it hears.
-pub struct Wire {
+pub(crate) struct Wire {
     device: PathBuf,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -17,7 +17,7 @@ pub struct Wire {
 
 impl Wire {
     /// `answer` gets each line without its end, and `""` every few milliseconds of silence.
-    pub fn start(mut answer: impl FnMut(&str) -> Vec<u8> + Send + 'static) -> Self {
+    pub(crate) fn start(mut answer: impl FnMut(&str) -> Vec<u8> + Send + 'static) -> Self {
         let (pair_master, slave) = TTYPort::pair().unwrap();
         let mut master = pair_master.try_clone_native().unwrap();
         drop(pair_master);
@@ -48,7 +48,7 @@ impl Wire {
         Self { device, stop, thread: Some(thread) }
     }
 
-    pub fn device(&self) -> &Path {
+    pub(crate) fn device(&self) -> &Path {
         &self.device
     }
 }
@@ -60,8 +60,8 @@ impl Drop for Wire {
     }
 }
 
-/// Closes a line with its checksum, by an implementation of the test's own.
-pub fn sealed(text: &str) -> Vec<u8> {
+/// A line with its checksum and end, by an implementation of the test's own.
+pub(crate) fn sealed(text: &str) -> Vec<u8> {
     let mut crc = 0xFFFF_u16;
     for byte in text.bytes() {
         crc ^= u16::from(byte) << 8;
@@ -77,7 +77,7 @@ pub fn sealed(text: &str) -> Vec<u8> {
 }
 
 /// Number and body of a request line.
-pub fn request(line: &str) -> Option<(u32, &str)> {
+pub(crate) fn request(line: &str) -> Option<(u32, &str)> {
     let (text, _) = line.strip_prefix('#')?.rsplit_once('*')?;
     let (seq, body) = text.split_once(' ')?;
     Some((seq.parse().ok()?, body))
@@ -85,16 +85,16 @@ pub fn request(line: &str) -> Option<(u32, &str)> {
 
 /// A board by its book of numbers: answers every request of the protocol, with whatever state the test gives it.
 #[derive(Clone, Copy, Debug)]
-pub struct Book {
-    pub boot: u32,
-    pub events: u32,
-    pub shots: u32,
-    pub greeted: bool,
-    pub clock_us: u32,
+pub(crate) struct Book {
+    pub(crate) boot: u32,
+    pub(crate) events: u32,
+    pub(crate) shots: u32,
+    pub(crate) greeted: bool,
+    pub(crate) clock_us: u32,
 }
 
 impl Book {
-    pub fn answer(&mut self, line: &str) -> Vec<u8> {
+    pub(crate) fn answer(&mut self, line: &str) -> Vec<u8> {
         let Some((seq, body)) = request(line) else { return Vec::new() };
         let Book { boot, events, shots, clock_us, .. } = *self;
         let verb = body.split(' ').next().unwrap();

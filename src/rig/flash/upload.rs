@@ -1,15 +1,19 @@
 //! Programs the board: runs avrdude against the boot loader of an Arduino Uno or Nano, and greets the board that
-//! comes of it. Takes a port, the kind of board and an Intel HEX file; gives avrdude's words as they come.
+//! comes of it. Takes a port, the kind of board and an Intel HEX file (or the one packed into this program); gives
+//! avrdude's words as they come.
 
 use super::greeting::{Greeting, greet};
 use super::ports::Port;
 use crate::rig::FlashError;
 use crate::rig::system::Holder;
 use std::ffi::OsString;
-use std::io::Read;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use tempfile::NamedTempFile;
 
+/// The controller's program, as `make -C firmware/avr package` lays it there.
+pub const FIRMWARE: &[u8] = include_bytes!("../../../firmware/avr/unlit-uno.hex");
 /// avrdude tries ten times, five seconds each; a boot loader that is there answers at the first or second.
 const SYNC_TRIES: usize = 3;
 /// What avrdude says on each vain try.
@@ -74,6 +78,11 @@ pub enum UploadError {
     /// The port is not there.
     #[error("port {0} is not there: plug the board in; `unlit flash ports` lists what is")]
     NoPort(String),
+    /// There is no port, or there are several and nothing tells which.
+    #[error(
+        "{0} serial ports, and no controller answers yet: name the board's port (`unlit flash ports` lists them)"
+    )]
+    WhichPort(usize),
     /// No right to use it.
     #[error("you may not use port {0}: `sudo usermod -aG dialout $USER`, then log out and in again")]
     Permission(String),
@@ -117,6 +126,15 @@ pub enum UploadError {
     Greeting(#[from] FlashError),
 }
 
+/// The only port there is; of several, the first where a controller answers. An empty board does not.
+pub fn choose_port() -> Result<PathBuf, UploadError> {
+    let mut ports = super::list();
+    match ports.len() {
+        1 => Ok(ports.remove(0)),
+        count => ports.into_iter().find(|port| greet(port).is_ok()).ok_or(UploadError::WhichPort(count)),
+    }
+}
+
 /// One upload.
 #[derive(Clone, Debug)]
 pub struct Upload {
@@ -124,8 +142,8 @@ pub struct Upload {
     pub port: PathBuf,
     /// Kinds of board to try, one after the other.
     pub kinds: Vec<BoardKind>,
-    /// Intel HEX file.
-    pub hex: PathBuf,
+    /// Intel HEX file; [`FIRMWARE`] without one.
+    pub hex: Option<PathBuf>,
     /// avrdude's path or name.
     pub avrdude: OsString,
 }
@@ -146,10 +164,18 @@ impl Upload {
 
     /// Programs the board and greets it; `say` gets avrdude's output as it comes.
     pub fn run(&self, mut say: impl FnMut(&str)) -> Result<Greeting, UploadError> {
-        check_hex(&self.hex)?;
+        let packed;
+        let hex = match &self.hex {
+            Some(path) => path,
+            None => {
+                packed = unpack().map_err(|error| UploadError::Failed(error.to_string()))?;
+                packed.path()
+            }
+        };
+        check_hex(hex)?;
         let mut outcome = Err(self.no_sync());
         for kind in &self.kinds {
-            outcome = self.program(*kind, &mut say);
+            outcome = self.program(*kind, hex, &mut say);
             if !matches!(outcome, Err(UploadError::NoSync { .. })) {
                 break;
             }
@@ -159,9 +185,9 @@ impl Upload {
     }
 
     /// The command line for a board of this kind.
-    pub fn command(&self, kind: BoardKind) -> Vec<OsString> {
+    pub fn command(&self, kind: BoardKind, hex: &Path) -> Vec<OsString> {
         let mut memory = OsString::from("flash:w:");
-        memory.push(&self.hex);
+        memory.push(hex);
         memory.push(":i");
         let mut words: Vec<OsString> = vec![self.avrdude.clone()];
         words.extend(["-p", "m328p", "-c", "arduino", "-b", kind.baud(), "-D", "-P"].map(OsString::from));
@@ -171,8 +197,8 @@ impl Upload {
         words
     }
 
-    fn program(&self, kind: BoardKind, say: &mut impl FnMut(&str)) -> Result<(), UploadError> {
-        let words = self.command(kind);
+    fn program(&self, kind: BoardKind, hex: &Path, say: &mut impl FnMut(&str)) -> Result<(), UploadError> {
+        let words = self.command(kind, hex);
         let failed = |error: std::io::Error| UploadError::Failed(error.to_string());
         let mut child = Command::new(&words[0])
             .args(&words[1..])
@@ -227,6 +253,14 @@ impl Upload {
         let names: Vec<&str> = self.kinds.iter().map(|kind| kind.name()).collect();
         UploadError::NoSync { port: self.port.display().to_string(), tried: names.join(" or ") }
     }
+}
+
+/// [`FIRMWARE`] as a file, for as long as it is held.
+fn unpack() -> std::io::Result<NamedTempFile> {
+    let mut file = tempfile::Builder::new().prefix("unlit-firmware-").suffix(".hex").tempfile()?;
+    file.write_all(FIRMWARE)?;
+    file.flush()?;
+    Ok(file)
 }
 
 /// Passes avrdude's words on until it ends, or has tried in vain often enough; returns all of them.
