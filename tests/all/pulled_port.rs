@@ -206,6 +206,6 @@ fn pulling_the_port_in_a_hundred_pairs_never_fires_a_disarmed_flash_nor_passes_a
     });
     println!("seed {seed}, {} pulls in {:.1?}: {all:?}", all.pulls(), began.elapsed());
     assert_eq!(u64::from(all.pulls()), HOUSES * u64::from(PULLS));
-    // Were the pulls without effect, nothing would have been tested.
-    assert!(all.accepted_at_once < all.pulls() / 2, "{all:?}");
+    // The driver bridges short pulls by itself. Were all of them without effect, nothing would have been tested.
+    assert!(all.accepted_at_once < all.pulls() * 4 / 5, "{all:?}");
 }
