@@ -11,7 +11,7 @@
  *   say TEXT                 bytes to the board at line rate, with a line end; \xHH for any byte
  *   contact US=LEVEL ...     the sync contact closes (1) or opens (0) so long from now; bounce is several of them
  *   ready 0|1                the flash's ready output
- *   spare COUNTS             what the second ADC channel reads
+ *   supply MILLIVOLTS        the board's supply, 5000 at start; the light on the diode stays what it is
  *   light KEY=VALUE ...      dark noise flicker hz energy jitter recycle seed; see light.h
  *   reset                    pulls the reset pin, as DTR does on an Uno
  *   flash ADDRESS WORD       overwrites a word of the program (hexadecimal); answers what stood there
@@ -58,7 +58,6 @@ static avr_t *avr;
 static FILE *out;
 static struct light light = { .dark = 12.3, .noise = 0.5, .flicker_hz = 100, .energy = 1, .random = 1 };
 static bool real_time, was_reset, contact_closed, ready = true, trigger_high, armed_lit;
-static uint32_t spare_counts = 256;
 
 static enum { UART_PTY, UART_STDIO, UART_OFF } uart = UART_PTY;
 static int pty = -1;
@@ -154,18 +153,16 @@ static void on_armed(avr_irq_t *irq, uint32_t value, void *unused)
 
 /* ---- ADC ---- */
 
-/* The least voltage that simavr turns into so many counts. */
+/* The least voltage that, against the chip's own reference, simavr turns into so many counts. */
 static uint32_t millivolts(uint32_t counts)
 {
-    return (counts * VOLT_MV + 1022) / 1023;
+    return (counts * ADC_VREF_V110 + 1022) / 1023;
 }
 
 static void on_conversion(avr_irq_t *irq, uint32_t value, void *unused)
 {
-    (void)irq, (void)unused;
-    const union { uint32_t value; avr_adc_mux_t mux; } what = { .value = value };
-    const uint32_t counts = what.mux.src == 0 ? light_sample(&light, now_us()) : spare_counts;
-    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, (int)(ADC_IRQ_ADC0 + what.mux.src)), millivolts(counts));
+    (void)irq, (void)value, (void)unused;
+    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0), millivolts(light_sample(&light, now_us())));
 }
 
 /* ---- UART ---- */
@@ -472,8 +469,9 @@ static void command(char *line)
     } else if (strcmp(line, "ready") == 0) {
         ready = strcmp(words, "1") == 0;
         drive_pins();
-    } else if (strcmp(line, "spare") == 0) {
-        spare_counts = (uint32_t)strtoul(words, NULL, 10);
+    } else if (strcmp(line, "supply") == 0) {
+        avr->vcc = avr->avcc = avr->aref = (uint32_t)strtoul(words, NULL, 10);
+        done = avr->vcc > 0;
     } else if (strcmp(line, "light") == 0) {
         done = command_light(words);
     } else if (strcmp(line, "reset") == 0) {
