@@ -1,6 +1,6 @@
 //! The AVR's program in simavr: what `firmware/PROTOCOL.md` promises, one by one, in simulated time.
 
-use super::avr::{Desk, MHZ, Report, built, firmware, mean_and_sd, rises, sealed};
+use super::avr::{Desk, MHZ, Report, built, firmware, mean_and_sd, rises};
 use std::process::Command;
 
 /// Memories of the ATmega328P, bytes.
@@ -81,6 +81,7 @@ const CHIP_EXTRA: u64 = 6;
 #[test]
 fn the_trigger_follows_the_sync_within_cycles() {
     let mut desk = Desk::greeted();
+    desk.ok("cfg win=200"); // light is not the subject, and takes the simulator long
     let mut idle = Vec::new();
     for tag in 1..=150 {
         idle.extend(desk.lit_frame(tag, f64::from(tag) * 7.0625).latencies);
@@ -161,6 +162,24 @@ fn a_dark_shot_measures_the_noise_of_the_energy_and_a_lit_one_the_energy() {
     assert!((0.4..2.5).contains(&(energy_sd / energy / predicted)), "dark shots predict {predicted}");
 }
 
+/// A window of whole periods of the room light's flicker gathers as much of it as the dark level has.
+#[test]
+fn the_window_can_be_made_to_fit_the_mains() {
+    let mut spread = Vec::new();
+    for (hz, window) in [(100, 20_000), (120, 20_000), (120, 25_000)] {
+        let mut desk = Desk::greeted();
+        desk.ok(&format!("cfg win={window}"));
+        desk.sim.command(&format!("light flicker=5 hz={hz} seed=3"));
+        desk.wait_ms(1400.0);
+        let dark: Vec<f64> =
+            (0..30).map(|i| desk.frame(f64::from(i * 7919 % 100) * 100.0).shot.int("e") as f64).collect();
+        let (_, sd) = mean_and_sd(&dark);
+        println!("flicker of 5 counts at {hz} Hz, window {window} us: dark shots' SD {sd:.0} counts");
+        spread.push(sd);
+    }
+    assert!(spread[0] < 120.0 && spread[1] > 300.0 && spread[2] < 160.0, "{spread:?}");
+}
+
 #[test]
 fn contact_bounce_gives_one_trigger_and_one_shot() {
     let mut desk = Desk::greeted();
@@ -183,6 +202,7 @@ fn contact_bounce_gives_one_trigger_and_one_shot() {
 #[test]
 fn no_bounce_of_an_earlier_sync_uses_a_gate_that_opens_meanwhile() {
     let mut desk = Desk::greeted();
+    desk.ok("cfg win=200");
     let say_arm = |desk: &mut Desk| -> u64 {
         desk.take_reports();
         let arm = desk.numbered("arm tag=1 ttl=40");

@@ -13,6 +13,7 @@ mod decoders;
 mod evaluate;
 mod fake_rig;
 mod firmware;
+mod firmware_fuzz;
 mod firmware_host;
 mod flash;
 mod floors;

@@ -8,6 +8,8 @@
 mod core;
 mod light;
 #[cfg(test)]
+mod model;
+#[cfg(test)]
 mod tests;
 
 use self::core::{Config, Core};
