@@ -18,7 +18,8 @@ fn a_million_frames_break_no_promise_of_the_core() {
     assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
     let soak = std::env::var_os("UNLIT_SOAK").is_some();
     for seed in 1..=if soak { 20 } else { 1 } {
-        let run = Command::new(build.join("unlit-fuzz")).arg(seed.to_string()).arg("1000000").output().unwrap();
+        let run =
+            Command::new(build.join("unlit-fuzz")).arg(seed.to_string()).arg("1000000").output().unwrap();
         println!("seed {seed}: {}", String::from_utf8_lossy(&run.stdout).trim_end());
         assert!(run.status.success(), "seed {seed}: {}", String::from_utf8_lossy(&run.stderr));
     }

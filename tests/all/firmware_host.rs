@@ -49,12 +49,17 @@ fn the_driver_takes_dark_and_lit_frames_with_the_real_program() {
     }
     sim.command("pace step");
     let reports = sim.take();
-    let given: Vec<f64> =
-        reports.iter().filter_map(|r| if let Report::Light { energy } = r { Some(*energy) } else { None }).collect();
+    let given: Vec<f64> = reports
+        .iter()
+        .filter_map(|r| if let Report::Light { energy } = r { Some(*energy) } else { None })
+        .collect();
     assert_eq!((rises(&reports).len(), given.len()), (lit, lit));
     let ratios: Vec<f64> = measured.iter().zip(&given).map(|(m, g)| m / g).collect();
     let (mean, sd) = mean_and_sd(&ratios);
-    println!("{lit} pairs with the driver: measured over given energy {mean:.0} counts, SD {:.4} %", 100.0 * sd / mean);
+    println!(
+        "{lit} pairs with the driver: measured over given energy {mean:.0} counts, SD {:.4} %",
+        100.0 * sd / mean
+    );
     assert!(sd / mean < 0.0008);
 }
 
@@ -123,12 +128,8 @@ fn boot_loader() -> PathBuf {
         .arg(&elf)
         .status()
         .unwrap();
-    let copied = Command::new("avr-objcopy")
-        .args(["-O", "ihex", "-j", ".text"])
-        .arg(&elf)
-        .arg(&hex)
-        .status()
-        .unwrap();
+    let copied =
+        Command::new("avr-objcopy").args(["-O", "ihex", "-j", ".text"]).arg(&elf).arg(&hex).status().unwrap();
     assert!(compiled.success() && copied.success(), "optiboot does not build");
     hex
 }
