@@ -41,6 +41,8 @@ pub struct CardShot {
     pub distance: f64,
     /// Known light on sensor sites, DN.
     pub known: KnownMosaic,
+    /// Energy of its pulse in the flash controller's counts, where it was measured.
+    pub energy_counts: Option<f64>,
 }
 
 /// Product of vignetting and lamp lobe over the field, 1 on the axis.
@@ -57,8 +59,11 @@ pub struct CardResidual {
     pub label: String,
     /// Given distance, metres.
     pub distance: f64,
-    /// Flash energy of this shot relative to the mean, as fitted.
+    /// Flash energy of this shot relative to the radiance's, as fitted.
     pub gain: f64,
+    /// Flash energy of this shot relative to [`FlashCalibration::energy_counts`], as the photodiode measured it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measured_gain: Option<f64>,
     /// Root mean square of (measured / model - 1) over the blocks.
     pub rms: f64,
     /// Share of blocks that were clipped and left out.
@@ -87,6 +92,10 @@ pub struct FlashCalibration {
     pub iso: Option<f64>,
     /// f-number of the shots; known light is proportional to its inverse square.
     pub aperture: Option<f64>,
+    /// Energy of the flash to which `radiance` belongs, in the flash controller's counts; absent unless the
+    /// controller measured every shot that was used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub energy_counts: Option<f64>,
     /// Every shot with its residuals.
     pub shots: Vec<CardResidual>,
     /// Root mean square of (measured / model - 1) over all blocks used.
@@ -197,7 +206,13 @@ pub fn fit_flash(
         strength = strengths(&blocks, shots.len(), &field);
     }
     let used: Vec<usize> = (0..shots.len()).filter(|&s| strength[s].is_some()).collect();
-    let at = |s: usize, c: usize| strength[s].map_or(0.0, |k| k[c]);
+    // Each shot's own energy, where the controller measured them all, is known better than the cards' distances: it
+    // is divided out before the mean is taken.
+    let energies: Option<Vec<f64>> =
+        used.iter().map(|&s| shots[s].energy_counts.filter(|e| *e > 0.0)).collect();
+    let energy_counts = energies.map(|e| e.iter().sum::<f64>() / e.len() as f64);
+    let measured_gain = |s: usize| Some(shots[s].energy_counts? / energy_counts?);
+    let at = |s: usize, c: usize| strength[s].map_or(0.0, |k| k[c] / measured_gain(s).unwrap_or(1.0));
     let radiance: [f64; 3] =
         std::array::from_fn(|c| used.iter().map(|&s| at(s, c)).sum::<f64>() / used.len() as f64);
     let radiance_error = (used.len() > 1).then(|| {
@@ -229,7 +244,8 @@ pub fn fit_flash(
         .map(|(s, shot)| CardResidual {
             label: shot.label.clone(),
             distance: shot.distance,
-            gain: (0..3).map(|c| at(s, c) / radiance[c]).sum::<f64>() / 3.0,
+            gain: strength[s].map_or(0.0, |k| (0..3).map(|c| k[c] / radiance[c]).sum::<f64>() / 3.0),
+            measured_gain: measured_gain(s),
             rms: rms(Some(s)),
             clipped: clipped[s],
             used: strength[s].is_some(),
@@ -244,6 +260,7 @@ pub fn fit_flash(
         target_reflectance,
         iso: None,
         aperture: None,
+        energy_counts,
         shots: residuals,
         rms: rms(None),
     })
@@ -372,6 +389,7 @@ mod tests {
             label: format!("{distance}"),
             distance,
             known: KnownMosaic { value, variance, cfa: Cfa::RGGB },
+            energy_counts: None,
         }
     }
 
@@ -389,6 +407,30 @@ mod tests {
             assert!((fit.field.at_q(q) - want).abs() < 1e-3, "{:?}", fit.field);
         }
         assert!(fit.rms < 1e-3 && fit.shots[1].gain > fit.shots[2].gain);
+    }
+
+    #[test]
+    fn measured_energies_take_the_flashs_jitter_out_of_the_radiance() {
+        let noise = NoiseModel { gain: 0.3, floor: 2.0 };
+        let ring = Ring::new(0.035, 0.085).unwrap();
+        let gains = [1.0, 1.02, 0.96];
+        let mut shots: Vec<CardShot> =
+            [0.5, 0.8, 1.2].into_iter().zip(gains).map(|(d, gain)| shot(d, gain, 9e3)).collect();
+        let untold = fit_flash(&shots, &intrinsics(), ring, 0.94, noise).unwrap();
+        assert_eq!(untold.energy_counts, None);
+        shots.iter_mut().zip(gains).for_each(|(s, g)| s.energy_counts = Some(1e5 * g));
+        let told = fit_flash(&shots, &intrinsics(), ring, 0.94, noise).unwrap();
+        // The mean energy is 0.9933 of that to which the radiances below belong.
+        assert!((told.energy_counts.unwrap() / 0.99333e5 - 1.0).abs() < 1e-4);
+        for (got, want) in told.radiance.iter().zip([2.0e5, 4.0e5, 2.5e5]) {
+            assert!((got / (0.99333 * want) - 1.0).abs() < 1e-3, "{:?}", told.radiance);
+        }
+        let error = |fit: &FlashCalibration| fit.radiance_error.unwrap()[1] / fit.radiance[1];
+        assert!(error(&untold) > 0.015 && error(&told) < 0.001, "{} {}", error(&untold), error(&told));
+        let shot = &told.shots[1];
+        assert!((shot.gain / shot.measured_gain.unwrap() - 1.0).abs() < 1e-3, "{shot:?}");
+        shots[2].energy_counts = None;
+        assert_eq!(fit_flash(&shots, &intrinsics(), ring, 0.94, noise).unwrap().energy_counts, None);
     }
 
     #[test]

@@ -2,8 +2,15 @@
 //! in words at any time.
 
 use super::engine::CameraState;
+use super::error::CaptureError;
+use crate::progress::Progress;
 use crate::rig::{Camera, CameraError, CameraInfo, Flash, FlashError, LockReport, LockState};
 use serde::Serialize;
+use std::time::{Duration, Instant};
+
+/// How long a pair waits for a flash controller that was pulled to be plugged in again, and how often it looks.
+const REPLUG_PATIENCE: Duration = Duration::from_secs(5);
+const REPLUG_GLANCE: Duration = Duration::from_millis(200);
 
 /// What fires the flash.
 pub enum FlashKind {
@@ -76,11 +83,21 @@ pub(super) struct Bench {
     /// How the lock stood when the open camera was locked; forgotten with every trouble.
     lock: Option<LockReport>,
     flash: Option<FlashKind>,
+    /// A controller was open once, so that one that is missing now was pulled.
+    had_controller: bool,
 }
 
 impl Bench {
     pub(super) fn new(open_camera: OpenCamera, open_flash: OpenFlash) -> Self {
-        Self { open_camera, open_flash, camera: None, chosen: None, lock: None, flash: None }
+        Self {
+            open_camera,
+            open_flash,
+            camera: None,
+            chosen: None,
+            lock: None,
+            flash: None,
+            had_controller: false,
+        }
     }
 
     /// From now on, the camera on this port.
@@ -107,6 +124,7 @@ impl Bench {
     pub(super) fn flash(&mut self) -> Result<&mut FlashKind, FlashError> {
         if self.flash.is_none() {
             self.flash = Some((self.open_flash)()?);
+            self.had_controller |= matches!(self.flash, Some(FlashKind::Controller(_)));
         }
         Ok(self.flash.get_or_insert(FlashKind::None))
     }
@@ -136,10 +154,31 @@ impl Bench {
         }
     }
 
-    /// Opens a flash anew that was lost or silent.
-    pub(super) fn recover_flash(&mut self) -> Result<Vec<String>, FlashError> {
-        self.flash = None;
-        self.flash().map(|_| vec!["opened anew".into()])
+    /// Whether the flash's failure may be a matter of a cable that is plugged in again soon.
+    pub(super) fn flash_may_return(&self, error: &CaptureError) -> bool {
+        match error {
+            CaptureError::Flash(FlashError::Silent { .. } | FlashError::Lost { .. }) => true,
+            CaptureError::Flash(FlashError::Open { .. }) | CaptureError::NoFlash => self.had_controller,
+            _ => false,
+        }
+    }
+
+    /// Opens a controller anew that was lost or silent, waiting a while for one that was pulled.
+    pub(super) fn recover_flash(&mut self, progress: &Progress) -> Result<Vec<String>, CaptureError> {
+        let end = Instant::now() + REPLUG_PATIENCE;
+        loop {
+            self.flash = None;
+            let trouble = match self.flash() {
+                Ok(FlashKind::None) => CaptureError::NoFlash,
+                Ok(_) => return Ok(vec!["opened anew".into()]),
+                Err(error) => error.into(),
+            };
+            if Instant::now() >= end || !self.flash_may_return(&trouble) {
+                return Err(trouble);
+            }
+            progress.check()?;
+            std::thread::sleep(REPLUG_GLANCE);
+        }
     }
 
     /// Brings the camera back; says in which steps.
@@ -173,7 +212,10 @@ impl Bench {
     /// Lets a flash whose link failed go, so that the next use opens it anew.
     pub(super) fn note_flash_error(&mut self, error: &FlashError) {
         match error {
-            FlashError::Open { .. } | FlashError::Silent { .. } | FlashError::Lost { .. } => {
+            FlashError::Open { .. }
+            | FlashError::Firmware { .. }
+            | FlashError::Silent { .. }
+            | FlashError::Lost { .. } => {
                 self.flash = None;
             }
             FlashError::Refused { .. } | FlashError::NotReady { .. } => {}

@@ -14,7 +14,7 @@ use super::run::Run;
 use crate::pair::{Limits, Offered, PairRecord, Settings, Verdict};
 use crate::pipeline::stops::Earlier;
 use crate::progress::Progress;
-use crate::rig::{CameraError, CameraInfo, FlashError, LockReport};
+use crate::rig::{CameraError, CameraInfo, LockReport};
 use crate::session::Session;
 use serde_json::json;
 use std::path::PathBuf;
@@ -44,11 +44,10 @@ const GLANCE: Duration = Duration::from_millis(20);
 pub(super) const ATTEMPTS: u32 = 3;
 
 /// Whether bringing the device back and shooting again may help; what only the operator can mend is told at once.
-pub(super) fn worth_another_try(error: &CaptureError) -> bool {
+pub(super) fn worth_another_try(error: &CaptureError, bench: &Bench) -> bool {
     match error {
         CaptureError::Camera(error) => error.may_pass(),
-        CaptureError::Flash(error) => matches!(error, FlashError::Silent { .. } | FlashError::Lost { .. }),
-        _ => false,
+        error => bench.flash_may_return(error),
     }
 }
 
@@ -200,7 +199,7 @@ impl Engine {
             Run::new(&mut bench, place, &self.prompter, &self.limits, progress, &self.events).finish();
         for _ in 1..ATTEMPTS {
             let Err(error) = &outcome else { break };
-            if !worth_another_try(error) || progress.is_cancelled() {
+            if !worth_another_try(error, &bench) || progress.is_cancelled() {
                 break;
             }
             if let Err(error) = self.bring_back(&mut bench, error, progress) {
@@ -231,12 +230,16 @@ impl Engine {
         self.events.tell(Topic::Recovery, error.to_string(), json!({ "code": error.code() }));
         progress.report("Bringing the devices back", 0, 1);
         let (what, steps) = match error {
-            CaptureError::Flash(_) => ("flash", bench.recover_flash()?),
+            CaptureError::Flash(_) | CaptureError::NoFlash => ("flash", bench.recover_flash(progress)?),
             _ => ("camera", bench.recover_camera()?),
         };
         let words = format!("The {what} is back{}.", told(&steps));
         self.events.tell(Topic::Recovery, words, json!({ "steps": steps }));
         Ok(())
+    }
+
+    pub(super) fn events(&self) -> &Events {
+        &self.events
     }
 
     pub(super) fn prompter(&self) -> &Prompter {

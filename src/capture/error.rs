@@ -3,7 +3,9 @@
 use super::bench::NO_FLASH;
 use super::place::PlaceError;
 use crate::codec::raw::RawError;
+use crate::pair::energy::RepeatError;
 use crate::pair::finding::FindingError;
+use crate::photometry::{IsolateError, NoNoise};
 use crate::pipeline::saturation::SaturationError;
 use crate::pipeline::stops::EarlierError;
 use crate::progress::Cancelled;
@@ -55,6 +57,38 @@ pub enum CaptureError {
         /// Whether it should have fired.
         expected: bool,
     },
+    /// A series that is divided by measured energies, with a flash that nobody measures.
+    #[error(
+        "how steady the flash is can only be measured with a flash controller, whose photodiode measures every pulse; connect one and leave `--flash manual` out"
+    )]
+    NeedsController,
+    /// A shot of a series that fails however often it is taken.
+    #[error("shot {shot} of the series failed {times} times in a row: {why}")]
+    SeriesBroken {
+        /// Number of the shot.
+        shot: u32,
+        /// How often it was tried.
+        times: u32,
+        /// What was the matter last, and what to do.
+        why: String,
+    },
+    /// A series of frames that clip.
+    #[error(
+        "shot {shot} of the series is clipped all over the region in at least one colour; close the aperture or lower flash power and sensitivity"
+    )]
+    SeriesClipped {
+        /// Number of the shot.
+        shot: u32,
+    },
+    /// The frames of a series show no even surface.
+    #[error(transparent)]
+    SeriesNoise(#[from] NoNoise),
+    /// The frames of a series do not fit together.
+    #[error(transparent)]
+    SeriesFrames(#[from] IsolateError),
+    /// The figures of a series say nothing.
+    #[error(transparent)]
+    Series(#[from] RepeatError),
     /// The session's saturation table.
     #[error(transparent)]
     Saturation(SaturationError),
@@ -75,6 +109,7 @@ impl CaptureError {
         match self {
             CaptureError::Camera(error) => error.code(),
             CaptureError::Flash(FlashError::Open { .. }) => "flash_not_opened",
+            CaptureError::Flash(FlashError::Firmware { .. }) => "flash_firmware",
             CaptureError::Flash(FlashError::Silent { .. }) => "flash_silent",
             CaptureError::Flash(FlashError::Refused { .. }) => "flash_refused",
             CaptureError::Flash(FlashError::NotReady { .. }) => "flash_not_ready",
@@ -86,6 +121,12 @@ impl CaptureError {
             CaptureError::Finding(_) => "exposure_not_found",
             CaptureError::TestShot(_) => "frame_unreadable",
             CaptureError::TestShotMisfired { .. } => "flash_misfired",
+            CaptureError::NeedsController => "flash_controller_needed",
+            CaptureError::SeriesBroken { .. } => "series_broken",
+            CaptureError::SeriesClipped { .. } => "series_clipped",
+            CaptureError::SeriesNoise(_) => "series_noise_unmeasured",
+            CaptureError::SeriesFrames(_) => "series_frames_differ",
+            CaptureError::Series(_) => "series_says_nothing",
             CaptureError::Saturation(_) => "saturation_table_unreadable",
             CaptureError::NoThread(_) => "no_thread",
             CaptureError::Place(_) => "session_not_written",

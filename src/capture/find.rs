@@ -111,7 +111,7 @@ impl Engine {
         let mut attempt = 1;
         loop {
             match hands.test_shot(told, exposure, flash, measured) {
-                Err(error) if attempt < ATTEMPTS && worth_another_try(&error) => {
+                Err(error) if attempt < ATTEMPTS && worth_another_try(&error, hands.bench) => {
                     attempt += 1;
                     self.bring_back(hands.bench, &error, hands.progress)?;
                     *told = hands.lock()?;

@@ -3,9 +3,9 @@
 use super::bench::{Bench, FlashKind};
 use super::error::CaptureError;
 use super::prompt::Prompter;
-use crate::pair::{Dial, Exposure, Offered, Settings};
+use crate::pair::{Dial, Exposure, FlashSync, Offered, Settings};
 use crate::progress::{Cancelled, Progress};
-use crate::rig::{CameraError, Flash, FlashError, FlashShot, LockReport, LockState, Shot};
+use crate::rig::{CameraError, Flash, FlashError, LockReport, LockState, Shot};
 use std::time::{Duration, Instant};
 
 /// How long the gate stays open for the lit frame. A tethered body may take seconds from the request to the
@@ -103,9 +103,13 @@ impl Hands<'_> {
     }
 
     /// The syncs since the last count; `None` where no controller counts.
-    pub(super) fn count(&mut self) -> Result<Option<Vec<FlashShot>>, CaptureError> {
-        let FlashKind::Controller(flash) = self.bench.flash()? else { return Ok(None) };
-        let syncs = flash.syncs(SYNC_PATIENCE);
+    pub(super) fn count(&mut self) -> Result<Option<Vec<FlashSync>>, CaptureError> {
+        let syncs = match self.bench.flash()? {
+            FlashKind::Controller(flash) => flash.syncs(SYNC_PATIENCE),
+            FlashKind::Manual => return Ok(None),
+            // A controller that went in the middle of a pair must not pass for one that was never there.
+            FlashKind::None => return Err(CaptureError::NoFlash),
+        };
         syncs.map(Some).map_err(|error| self.flash_failed(error))
     }
 

@@ -2,6 +2,7 @@
 
 use crate::pair::{Expected, FlashRecord, FrameRecord, PairRecord, Plan, Reason, Settings, Stop, Window};
 use crate::photometry::saturation::SaturationTable;
+use crate::pipeline::flash::SHOT_RECORD;
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::stops::{Delivery, Earlier};
 use crate::rig::Shot;
@@ -76,6 +77,8 @@ pub(super) trait Place {
     fn adopt(&mut self, plan: Plan) -> Result<(), PlaceError>;
     /// Where the object is in the frame; everywhere if `None`.
     fn region(&self) -> Option<Window>;
+    /// Whether the controller's photodiode has seen this flash before.
+    fn sees_light(&self) -> bool;
     /// Writes raws to the disk ahead, where the place takes them so.
     fn stager(&self) -> Option<Stager>;
     /// Saturation as it was measured for the session.
@@ -139,6 +142,10 @@ impl Place for PairPlace<'_> {
         self.session.manifest().region
     }
 
+    fn sees_light(&self) -> bool {
+        self.earlier.sees_light()
+    }
+
     fn stager(&self) -> Option<Stager> {
         Some(self.session.stager())
     }
@@ -195,8 +202,6 @@ pub struct CalibrationShot {
     pub flash: Option<FlashRecord>,
 }
 
-const SHOT_RECORD: &str = "shot.json";
-
 /// `calibration/flash` of a session.
 fn shots_dir(session: &Session) -> PathBuf {
     session.calibration_dir().join("flash")
@@ -250,6 +255,7 @@ pub(super) struct CardPlace<'a> {
     saturation: Arc<SaturationTable>,
     name: String,
     tag: u32,
+    sees_light: bool,
     stored: Option<CalibrationShot>,
 }
 
@@ -261,8 +267,10 @@ impl<'a> CardPlace<'a> {
             .find(|name| !shots_dir(session).join(name).exists())
             .unwrap_or_default();
         let tag = u32::try_from(taken.len()).unwrap_or(u32::MAX - 1).saturating_add(1);
+        let sees_light =
+            taken.iter().filter_map(|shot| shot.flash.as_ref()?.energy_counts()).next().is_some();
         let saturation = Arc::new(saturation::load(session)?);
-        Ok(Self { session, distance_m, saturation, name, tag, stored: None })
+        Ok(Self { session, distance_m, saturation, name, tag, sees_light, stored: None })
     }
 
     /// The shot, once stored.
@@ -319,6 +327,10 @@ impl Place for CardPlace<'_> {
 
     fn region(&self) -> Option<Window> {
         None
+    }
+
+    fn sees_light(&self) -> bool {
+        self.sees_light
     }
 
     fn stager(&self) -> Option<Stager> {

@@ -8,10 +8,9 @@ use super::machine::{Effect, End, Event, Frame, State, step};
 use super::place::{Delivered, Place, PlaceError, Shots};
 use super::prompt::Prompter;
 use super::taken::{Decoded, Taken};
-use crate::pair::{FlashRecord, Limits, Plan, Reason, ReasonCode, Settings, Stop, Verdict};
+use crate::pair::{FlashRecord, Limits, Plan, Reason, Settings, Stop, Verdict, proof};
 use crate::pipeline::pairs;
 use crate::progress::{Cancelled, Progress};
-use crate::rig::FlashShot;
 use serde_json::json;
 use std::collections::VecDeque;
 
@@ -219,31 +218,14 @@ impl<'a> Run<'a> {
     /// means that the contact never closed.
     fn count(&mut self, frame: Frame) -> Result<(), CaptureError> {
         let Some(syncs) = self.hands.count()? else { return Ok(()) };
+        self.reasons.extend(match frame {
+            Frame::Off => proof::dark_frame(&syncs),
+            Frame::On => proof::lit_frame(&syncs, self.place.tag(), self.place.sees_light()),
+        });
         let record = self.flash.get_or_insert_default();
-        let lit: Vec<&FlashShot> = syncs.iter().filter(|s| s.triggered).collect();
-        let pulses = u32::try_from(lit.len()).unwrap_or(u32::MAX);
         match frame {
-            Frame::Off => {
-                record.pulses_off = pulses;
-                if pulses != 0 {
-                    self.reasons.push(Reason {
-                        code: ReasonCode::Misfire,
-                        figure: f64::from(pulses),
-                        limit: 0.0,
-                        sentence: "The flash fired during the frame without flash; check that nothing else \
-                                   triggers it (radio trigger, optical slave) and take the pair again."
-                            .into(),
-                    });
-                }
-            }
-            Frame::On => {
-                record.pulses_on = pulses;
-                record.energy_counts = lit.last().and_then(|s| s.energy_counts);
-                if let Some(sentence) = what_was_wrong_with_the_pulse(&syncs, &lit) {
-                    let (figure, limit) = (f64::from(pulses), 1.0);
-                    self.reasons.push(Reason { code: ReasonCode::Misfire, figure, limit, sentence });
-                }
-            }
+            Frame::Off => record.off = syncs,
+            Frame::On => record.on = syncs,
         }
         Ok(())
     }
@@ -256,7 +238,7 @@ impl<'a> Run<'a> {
 
     fn judge(&mut self) -> Result<Verdict, CaptureError> {
         let ((off, off_digest), (on, on_digest)) = (self.decoded(Frame::Off)?, self.decoded(Frame::On)?);
-        let energy = self.flash.as_ref().and_then(|flash| flash.energy_counts);
+        let energy = self.flash.as_ref().and_then(FlashRecord::energy_counts);
         let mut expected = self.place.expected(&off_digest, &on_digest, energy);
         expected.plan = self.plan.as_ref();
         if let (Some(window), Ok(photo)) = (self.place.region(), &off) {
@@ -303,24 +285,5 @@ impl<'a> Run<'a> {
             stop: self.stop.take(),
         })?;
         Ok(())
-    }
-}
-
-/// A sentence if the lit frame did not get exactly one pulse.
-fn what_was_wrong_with_the_pulse(syncs: &[FlashShot], lit: &[&FlashShot]) -> Option<String> {
-    match (syncs.len(), lit.len()) {
-        (_, 1) => None,
-        (0, 0) => Some(
-            "The camera's sync contact never closed, so the flash stayed dark; check the sync cable and that \
-             the camera uses its mechanical shutter."
-                .into(),
-        ),
-        (_, 0) => Some(
-            "The flash controller did not let the flash fire in the frame with flash; take the pair again."
-                .into(),
-        ),
-        (_, n) => Some(format!(
-            "The flash fired {n} times during the frame with flash; switch off pre-flash and multi-flash modes."
-        )),
     }
 }

@@ -1,6 +1,10 @@
 //! `unlit calibrate`: measures the rig from calibration shots.
 
+use super::devices::DeviceArgs;
+use super::shoot::tell_of_recovery;
 use super::{CliError, CliResult, Exit, progress_bar};
+use crate::capture::{Engine, Events, words_on_repeatability};
+use crate::pair::Limits;
 use crate::pipeline;
 use crate::pipeline::flash::{CardFacts, CardFiles, calibrate};
 use crate::session::Session;
@@ -13,6 +17,21 @@ pub(super) enum Calibrate {
     Flash(FlashArgs),
     /// Where the sensor clips, from deliberately blown frames: one at every ISO in use.
     Saturation(SaturationArgs),
+    /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller.
+    Repeatability(RepeatabilityArgs),
+}
+
+/// Arguments of `unlit calibrate repeatability`.
+#[derive(clap::Args)]
+pub(super) struct RepeatabilityArgs {
+    /// Session folder. Only figures are kept in it, no frames.
+    session: PathBuf,
+    /// How many shots to take, each a frame without flash and one with; 8 or more.
+    #[arg(long, value_name = "N", default_value_t = 40)]
+    shots: usize,
+    /// With `--studio` the white card stands 1 m before the lens.
+    #[command(flatten)]
+    devices: DeviceArgs,
 }
 
 /// Arguments of `unlit calibrate saturation`.
@@ -67,7 +86,33 @@ pub(super) fn run(what: &Calibrate) -> CliResult {
     match what {
         Calibrate::Flash(args) => flash(args),
         Calibrate::Saturation(args) => saturation(args),
+        Calibrate::Repeatability(args) => repeatability(args),
     }
+}
+
+fn repeatability(args: &RepeatabilityArgs) -> CliResult {
+    let session = Session::open(&args.session).map_err(CliError::new)?;
+    let (source, studio) = args.devices.prepare()?;
+    if let Some(studio) = &studio {
+        studio.show_card(1.0).map_err(CliError::new)?;
+    }
+    let events = Events::default();
+    let engine = Engine::new(source, Limits::default(), events.clone());
+    let (bar, progress) = progress_bar::watched();
+    tell_of_recovery(&events, bar.clone())?;
+    let result = engine.repeatability(&session, args.shots, &progress);
+    bar.finish_and_clear();
+    let result = result.map_err(CliError::new)?;
+    println!("{}", words_on_repeatability(&result));
+    let percent = |part: f64| format!("{:.3} %", 100.0 * part);
+    println!(
+        "standard errors {} and {}; the sensor's noise is {} of both; measured energies: {}",
+        percent(result.spread_error),
+        percent(result.corrected_error),
+        percent(result.sensor_noise),
+        percent(result.energy_spread)
+    );
+    Ok(Exit::Success)
 }
 
 fn saturation(args: &SaturationArgs) -> CliResult {

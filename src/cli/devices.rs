@@ -9,7 +9,7 @@ use crate::rig::camera::{self, HostedCamera};
 use crate::rig::flash::{self, SerialFlash};
 use crate::rig::{CameraError, CameraInfo, Flash, FlashError};
 use crate::studio::camera::CameraServer;
-use crate::studio::world::{Stage, World};
+use crate::studio::world::{Stage, StageError, World};
 use crate::studio::{Board, BoardOptions};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -113,6 +113,11 @@ impl Studio {
             let now = studio.describe();
             events.tell(Topic::Studio, now.words.clone(), json!(now));
         })
+    }
+
+    /// Puts the white card before the lens, `distance_m` metres away.
+    pub(super) fn show_card(&self, distance_m: f64) -> Result<(), StageError> {
+        self.world.set_stage(Stage::Card { distance_m })
     }
 
     /// Sends the operator to the stop where pair `number` is taken.

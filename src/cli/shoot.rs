@@ -107,7 +107,7 @@ fn show_lock(engine: &Engine, session: &Session, bar: &ProgressBar) -> Result<()
 }
 
 /// Shows that a device failed and is brought back.
-fn tell_of_recovery(events: &Events, bar: ProgressBar) -> Result<(), CliError> {
+pub(super) fn tell_of_recovery(events: &Events, bar: ProgressBar) -> Result<(), CliError> {
     let (_, mut heard) = events.listen();
     let telling = move || {
         while let Ok(event) = heard.blocking_recv() {

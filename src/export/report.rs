@@ -4,6 +4,7 @@
 //! caller's business. All text is escaped. Pictures go in as PNG bytes and are embedded as data URLs (RFC 2397,
 //! RFC 4648).
 
+use super::chart::{self, Chart};
 use std::fmt::Write as _;
 
 /// A whole report.
@@ -39,6 +40,8 @@ pub enum Block {
     },
     /// Pictures side by side.
     Pictures(Vec<Picture>),
+    /// Points over a running number.
+    Chart(Chart),
 }
 
 /// A picture with its caption.
@@ -85,6 +88,8 @@ figure{margin:0}figcaption{color:var(--dim);font-size:.88em;line-height:1.45;mar
 img{display:block;width:100%;height:auto;border-radius:4px}\
 .scale{display:flex;align-items:center;gap:.6rem;margin-top:.5rem;font-size:.88em;color:var(--dim)}\
 .scale i{flex:1;height:.5rem;border-radius:2px}\
+.chart{display:block;width:100%;height:auto;font-size:12px}.chart text{fill:var(--dim)}.chart .grid{stroke:var(--line)}\
+.series{fill:#4a6fa5}.series .bar{stroke:#4a6fa5}.s1{fill:#c2703d}.s2{fill:#5e8c4a}\
 @media(max-width:36rem){main{padding:2rem 1.1rem 3rem}dl{grid-template-columns:1fr;gap:0}dd{margin-bottom:.5rem}}\
 @media print{section{break-inside:avoid}main{padding:0}}";
 
@@ -108,7 +113,7 @@ pub fn html(report: &Report<'_>) -> String {
 }
 
 /// Writing to a string cannot fail.
-fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
+pub(super) fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
     let _ = out.write_fmt(text);
 }
 
@@ -144,6 +149,13 @@ fn lay_out(out: &mut String, block: &Block) {
             }
             out.push_str("</div>\n");
         }
+        Block::Chart(chart) => {
+            let caption = escape(&chart.caption);
+            put(
+                out,
+                format_args!("<figure>{}<figcaption>{caption}</figcaption></figure>\n", chart::svg(chart)),
+            );
+        }
     }
 }
 
@@ -169,7 +181,7 @@ fn figure(out: &mut String, picture: &Picture) {
 
 /// Text that HTML shows as it is, in elements and in quoted attributes; control characters, which HTML has no
 /// way to write, become the replacement character.
-fn escape(text: &str) -> String {
+pub(super) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

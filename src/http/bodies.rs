@@ -162,11 +162,13 @@ pub(super) struct FrameBody {
 #[derive(Serialize, ToSchema)]
 pub(super) struct FlashBody {
     /// Pulses during the frame without flash.
-    pulses_off: u32,
+    pulses_off: usize,
     /// Pulses during the frame with flash.
-    pulses_on: u32,
+    pulses_on: usize,
     /// Energy of the pulse in the board's own counts.
     energy_counts: Option<f64>,
+    /// What that proves, in one sentence.
+    words: String,
 }
 
 /// One pair.
@@ -217,9 +219,10 @@ impl PairBody {
             verdict: record.verdict,
             reasons: record.reasons.into_iter().map(reason).collect(),
             flash: record.flash.map(|f| FlashBody {
-                pulses_off: f.pulses_off,
-                pulses_on: f.pulses_on,
-                energy_counts: f.energy_counts,
+                pulses_off: f.pulses_off(),
+                pulses_on: f.pulses_on(),
+                energy_counts: f.energy_counts(),
+                words: f.words(),
             }),
         }
     }

@@ -7,6 +7,7 @@
 
 mod bodies;
 mod camera_bodies;
+mod flash_bodies;
 mod guard;
 mod page;
 mod problem;

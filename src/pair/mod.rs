@@ -2,20 +2,24 @@
 
 mod agreement;
 mod checks;
+pub mod energy;
 pub mod finding;
+mod flash;
 mod light;
 mod limits;
 mod motion;
 pub mod parts;
 mod plan;
+pub mod proof;
 mod record;
 mod settings;
 mod stop;
 mod survey;
 
 pub use checks::{EnergyExpectation, Expected, Files, FrameView, Judgement, Role, judge, judge_expecting};
+pub use flash::{FlashRecord, FlashSync, SyncSource};
 pub use limits::Limits;
 pub use plan::{Dial, Exposure, Offered, Plan, Window, WindowOutside};
-pub use record::{CompanionRecord, FlashRecord, FrameRecord, PairRecord, Reason, ReasonCode, Verdict};
+pub use record::{CompanionRecord, FrameRecord, PairRecord, Reason, ReasonCode, Verdict};
 pub use settings::Settings;
 pub use stop::{EarlierStops, Stop, StopKey};

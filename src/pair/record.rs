@@ -1,6 +1,6 @@
 //! `pair.json`: what a session keeps of one pair.
 
-use super::Settings;
+use super::{FlashRecord, Settings};
 use serde::{Deserialize, Serialize};
 
 /// Whether processing may use the pair.
@@ -17,8 +17,10 @@ pub enum Verdict {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ReasonCode {
-    /// The lit frame shows no flash light.
+    /// The lit frame shows no flash light, or not exactly one pulse of it.
     Misfire,
+    /// Flash light reached the unlit frame.
+    NotDark,
     /// The flash light is there but too little to measure with.
     Weak,
     /// Too large a share of sites is clipped.
@@ -79,18 +81,6 @@ pub struct CompanionRecord {
     pub bytes: u64,
     /// BLAKE3 of the file, hexadecimal.
     pub blake3: String,
-}
-
-/// What the flash controller saw of a pair.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct FlashRecord {
-    /// Pulses during the unlit frame; must be 0.
-    pub pulses_off: u32,
-    /// Pulses during the lit frame; must be 1.
-    pub pulses_on: u32,
-    /// Energy of the lit frame's pulse in the board's own counts.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub energy_counts: Option<f64>,
 }
 
 /// One pair, whole: both frames decoded and checked.

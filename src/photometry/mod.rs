@@ -2,6 +2,7 @@
 
 pub mod apex;
 mod demosaic;
+mod gain;
 pub mod inspect;
 mod isolate;
 mod mosaic;
@@ -9,6 +10,7 @@ mod noise;
 pub mod saturation;
 
 pub use demosaic::{Known, demosaic};
+pub use gain::FlashGain;
 pub use isolate::{IsolateError, KnownMosaic, isolate, isolate_dark};
 pub use mosaic::{Cfa, LevelSource, Levels, Mosaic};
 pub use noise::{NoNoise, NoiseModel};

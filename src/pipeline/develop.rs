@@ -4,7 +4,7 @@ use crate::calibration::FlashCalibration;
 use crate::codec::raw::RawError;
 use crate::pair::{PairRecord, Settings};
 use crate::photometry::apex::{ExposureScale, Nominal};
-use crate::photometry::{IsolateError, Known, demosaic, isolate};
+use crate::photometry::{FlashGain, IsolateError, Known, demosaic, isolate};
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
@@ -61,11 +61,13 @@ pub enum DevelopError {
     },
 }
 
-/// The flash's own light of a pair, as an image.
+/// The flash's own light of a pair, as an image: what a pulse of the reference energy would have given, `gain` being
+/// the energy of this one against it.
 pub fn known_light(
     session: &Session,
     pair: &PairRecord,
     calibration: &FlashCalibration,
+    gain: FlashGain,
 ) -> Result<Known, DevelopError> {
     let folder = session.pair_dir(pair.number);
     let measured = saturation::load(session)?;
@@ -74,7 +76,7 @@ pub fn known_light(
     let scale = exposure_ratio(&pair.on.settings, &pair.off.settings)
         .map_err(|setting| DevelopError::Lacking { name: pair.name.clone(), setting })?;
     isolate(&on?.mosaic, &off?.mosaic, scale as f32, &calibration.noise)
-        .map(|mosaic| demosaic(&mosaic, calibration.radiance))
+        .map(|mosaic| demosaic(&mosaic, calibration.radiance).at_reference(gain))
         .map_err(|source| DevelopError::Isolate { name: pair.name.clone(), source })
 }
 

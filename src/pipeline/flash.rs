@@ -3,7 +3,7 @@
 use crate::calibration::{CardShot, FlashCalibration, FlashFitError, fit_flash};
 use crate::codec::raw::RawError;
 use crate::light::{Ring, RingError};
-use crate::pair::Settings;
+use crate::pair::{FlashRecord, Settings};
 use crate::photometry::{IsolateError, NoNoise, NoiseModel, isolate, isolate_dark};
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::{develop::exposure_ratio, scene};
@@ -76,6 +76,14 @@ pub enum FlashError {
         /// What is wrong with it.
         reason: String,
     },
+    /// The record beside a card shot is broken.
+    #[error("{} is damaged ({reason}); take the card shot again", path.display())]
+    ShotRecord {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// Stopped on request.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
@@ -143,7 +151,8 @@ pub fn calibrate(
                 .map_err(|source| FlashError::Isolate { label: label.clone(), source })?,
             None => isolate_dark(on, &noise),
         };
-        cards.push(CardShot { label, distance: shot.distance, known });
+        let energy_counts = energy_beside(&shot.on)?;
+        cards.push(CardShot { label, distance: shot.distance, known, energy_counts });
     }
     let mut fit = fit_flash(&cards, &intrinsics, ring, facts.target_reflectance, noise)?;
     fit.iso = settings.iso.map(|s| s.0);
@@ -192,6 +201,29 @@ fn label(path: &Path) -> String {
         Some(folder) if path.file_stem().is_some_and(|stem| stem == "on") => format!("{folder}/{own}"),
         _ => own,
     }
+}
+
+/// What is read of the record that capture keeps beside a card shot's frames.
+#[derive(serde::Deserialize)]
+struct ShotRecord {
+    #[serde(default)]
+    flash: Option<FlashRecord>,
+}
+
+/// Name of that record.
+pub const SHOT_RECORD: &str = "shot.json";
+
+/// Energy of a card shot's pulse, if the flash controller's account lies beside its frame.
+fn energy_beside(frame: &Path) -> Result<Option<f64>, FlashError> {
+    let path = frame.with_file_name(SHOT_RECORD);
+    let bytes = match std::fs::read(&path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(source) => return Err(FlashError::Io { path, source }),
+    };
+    let record: ShotRecord =
+        serde_json::from_slice(&bytes).map_err(|e| FlashError::ShotRecord { path, reason: e.to_string() })?;
+    Ok(record.flash.as_ref().and_then(FlashRecord::energy_counts))
 }
 
 /// The flash's light goes with ISO and aperture, not with the shutter.

@@ -1,6 +1,7 @@
 //! Files to results, in stages keyed by the digest of their inputs.
 
 pub mod develop;
+pub mod energy;
 pub mod evaluate;
 pub mod flash;
 mod manifest;

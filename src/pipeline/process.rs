@@ -1,6 +1,7 @@
 //! `process`: a session's accepted pairs to reflectance texture, deviations, view counts and model.
 
 use super::develop::{DevelopError, known_light, lamp};
+use super::energy::{self, EnergyError, FlashAccount};
 use super::flash::{self, FlashError};
 use super::manifest::{StageManifest, digest};
 use super::report::{self, Told};
@@ -11,6 +12,7 @@ use crate::codec::exr_image::{self, Meta};
 use crate::codec::png::PngError;
 use crate::export::glb::{self, Colour, GlbError, Model};
 use crate::pair::{PairRecord, Verdict};
+use crate::photometry::FlashGain;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
 use crate::reflectance::atlas;
@@ -110,6 +112,9 @@ pub enum ProcessError {
     /// Calibration.
     #[error(transparent)]
     Flash(#[from] FlashError),
+    /// The flash's energies.
+    #[error(transparent)]
+    Energy(#[from] EnergyError),
     /// A pair.
     #[error(transparent)]
     Develop(#[from] DevelopError),
@@ -157,6 +162,8 @@ pub(super) struct Inputs {
     /// Accepted pairs with their cameras, by name.
     pub(super) matched: Vec<(PairRecord, Camera)>,
     pub(super) left_out: Vec<LeftOut>,
+    /// The flash over the session.
+    pub(super) flash: FlashAccount,
     /// Digest of all of it.
     pub(super) key: String,
 }
@@ -202,6 +209,7 @@ fn outputs() -> Vec<String> {
 impl Inputs {
     pub(super) fn read(session: &Session) -> Result<Self, ProcessError> {
         let calibration = flash::load(session)?;
+        let flash = energy::account(session)?;
         let scene = scene::load(session)?;
         let (mut matched, mut left_out) = (vec![], vec![]);
         for pair in session.pairs()? {
@@ -223,14 +231,21 @@ impl Inputs {
             parts.push(std::fs::read(&path).map_err(io(&path))?);
         }
         for (pair, _) in &matched {
-            parts.push(format!("{} {} {}", pair.name, pair.off.blake3, pair.on.blake3).into_bytes());
+            let gain = flash.scale.gain(pair.flash.as_ref());
+            let (off, on) = (&pair.off.blake3, &pair.on.blake3);
+            parts.push(format!("{} {off} {on} {} {}", pair.name, gain.value, gain.deviation).into_bytes());
         }
         // The report and the summary tell of these too.
         for left in &left_out {
             parts.push(format!("without {}: {}", left.name, left.why).into_bytes());
         }
         let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
-        Ok(Self { calibration, scene, matched, left_out, key })
+        Ok(Self { calibration, scene, matched, left_out, flash, key })
+    }
+
+    /// The energy of a pair's pulse against the calibration's.
+    pub(super) fn gain(&self, pair: &PairRecord) -> FlashGain {
+        self.flash.scale.gain(pair.flash.as_ref())
     }
 
     fn clone_scene(&self) -> Scene {
@@ -309,7 +324,7 @@ fn solve_and_write(
     let mut solver = Solver::new(object, &stage, size).map_err(TextureError::from)?;
     for (i, (pair, camera)) in inputs.matched.iter().enumerate() {
         progress.report("looking through the views", i, inputs.matched.len());
-        let known = known_light(session, pair, &inputs.calibration)?;
+        let known = known_light(session, pair, &inputs.calibration, inputs.gain(pair))?;
         let expected = (camera.intrinsics.width, camera.intrinsics.height);
         let got = (known.rgb.width(), known.rgb.height());
         if got != expected {
@@ -402,6 +417,7 @@ fn write(
         calibration: &inputs.calibration,
         pairs: inputs.matched.iter().map(|(pair, _)| pair).collect(),
         summary,
+        flash: &inputs.flash,
         estimates: &texture.estimates,
     })?;
     let path = model.join("report.html");

@@ -1,5 +1,8 @@
 //! `model/report.html`: what a run made, from what, and how far to trust it.
 
+mod flash;
+
+use super::energy::FlashAccount;
 use super::process::ProcessSummary;
 use crate::calibration::FlashCalibration;
 use crate::codec::png::{self, PngError};
@@ -28,6 +31,7 @@ pub(super) struct Told<'a> {
     /// Pairs that went in.
     pub(super) pairs: Vec<&'a PairRecord>,
     pub(super) summary: &'a ProcessSummary,
+    pub(super) flash: &'a FlashAccount,
     pub(super) estimates: &'a Image<Option<Estimate>>,
 }
 
@@ -45,6 +49,7 @@ pub(super) fn html(told: &Told<'_>) -> Result<String, PngError> {
         Section { heading: "The texture", blocks: vec![Block::Pictures(previews(told.estimates)?)] },
         Section { heading: "Figures", blocks: figures(told) },
         Section { heading: "Camera and flash", blocks: rig(told) },
+        Section { heading: "The flash over the session", blocks: flash::blocks(told.flash) },
         Section { heading: "Pairs", blocks: pairs(told.summary) },
         Section { heading: "How to read the files", blocks: files() },
     ];
@@ -195,15 +200,17 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
     ]);
     let rows = fit.shots.iter().map(|shot| {
         let used = |text: String| if shot.used { text } else { "left out".into() };
+        let measured = shot.measured_gain.map_or_else(|| "not measured".into(), |g| format!("{g:.4}"));
         vec![
             shot.label.clone(),
             format!("{} m", shot.distance),
             used(format!("{:.4}", shot.gain)),
+            used(measured),
             used(percent(shot.rms)),
             percent(shot.clipped),
         ]
     });
-    let head = vec!["Card shot", "Distance", "Flash, relative", "Residual", "Clipped"];
+    let head = vec!["Card shot", "Distance", "Flash, relative", "By photodiode", "Residual", "Clipped"];
     vec![Block::Facts(facts), Block::Table { head, rows: rows.collect() }]
 }
 
@@ -266,6 +273,7 @@ mod tests {
     use super::*;
     use crate::calibration::{CardResidual, FieldFactor};
     use crate::light::Ring;
+    use crate::pair::energy::{EnergyScale, trend};
     use crate::photometry::NoiseModel;
     use crate::pipeline::process::LeftOut;
     use crate::reflectance::bounce::Round;
@@ -289,10 +297,12 @@ mod tests {
             target_reflectance: 0.94,
             iso: None,
             aperture: None,
+            energy_counts: None,
             shots: vec![CardResidual {
                 label: "card-far.dng".into(),
                 distance: 1.4,
                 gain: 1.0,
+                measured_gain: None,
                 rms: 0.0021,
                 clipped: 0.0,
                 used: true,
@@ -311,6 +321,8 @@ mod tests {
             up_to_date: false,
             views: (0, 0),
         };
+        let scale = EnergyScale::new([], None, None);
+        let flash = FlashAccount { trend: trend(&[], &scale), scale, repeatability: None };
         // A quarter of the seen texels has the reflectance asked for, the rest 0.5.
         let estimates = Image::from_fn(640, 4, |x, y| {
             let rho = if x < 80 { rho } else { [0.5; 3] };
@@ -321,6 +333,7 @@ mod tests {
             calibration: &calibration,
             pairs: vec![],
             summary: &summary,
+            flash: &flash,
             estimates: &estimates,
         })
         .unwrap()

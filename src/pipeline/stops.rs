@@ -5,9 +5,10 @@
 //! delivered twice, the controller's counts a pulse that was weaker than usual.
 
 use crate::codec::raw;
+use crate::pair::energy::median;
 use crate::pair::{
-    EarlierStops, EnergyExpectation, Expected, Exposure, Files, Limits, PairRecord, Plan, Role, Settings,
-    Stop, StopKey, Verdict,
+    EarlierStops, EnergyExpectation, Expected, Exposure, Files, FlashRecord, Limits, PairRecord, Plan, Role,
+    Settings, Stop, StopKey, Verdict,
 };
 use crate::progress::{Cancelled, Progress};
 use crate::session::{Session, SessionError, store};
@@ -103,8 +104,13 @@ impl Earlier {
         }
         if record.verdict == Verdict::Accepted {
             self.stops.extend(stop.map(|stop| (stop.key(), record.number)));
-            self.energies.extend(record.flash.as_ref().and_then(|f| f.energy_counts).filter(|e| *e > 0.0));
+            self.energies.extend(record.flash.as_ref().and_then(FlashRecord::energy_counts));
         }
+    }
+
+    /// Whether the flash controller's photodiode has measured a pulse of an accepted pair.
+    pub fn sees_light(&self) -> bool {
+        !self.energies.is_empty()
     }
 
     /// What the next pair is held against: `off` and `on` are its files' BLAKE3, `energy` its pulse in the
@@ -155,12 +161,6 @@ impl EarlierStops for Earlier {
 
 fn file_name(number: u32) -> String {
     format!("{number:04}.json")
-}
-
-fn median(values: &[f64]) -> Option<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied()
 }
 
 fn folder(session: &Session) -> PathBuf {

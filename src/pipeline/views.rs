@@ -1,6 +1,6 @@
 //! Per-view images: `derived/views/NAME/{known,irradiance,reflectance}.exr`, for those who texture elsewhere.
 //!
-//! `known`: the flash's own light as the photo has it, linear camera RGB in DN. `irradiance`: what a white
+//! `known`: the flash's own light, linear camera RGB in DN, as a pulse of the calibration's energy would have given it. `irradiance`: what a white
 //! Lambertian surface would have read there, bounces included, in DN. `reflectance` is the one over the other, with
 //! a fourth channel A: 1 where it is known, 0 (and R, G, B 0) where the view shows no mesh, a site was clipped,
 //! or too little light fell.
@@ -68,7 +68,7 @@ pub(super) fn make(
     let made = missing.len();
     for (i, (pair, camera)) in missing.into_iter().enumerate() {
         progress.report("per-view images", i, made);
-        let known = known_light(session, pair, &inputs.calibration)?;
+        let known = known_light(session, pair, &inputs.calibration, inputs.gain(pair))?;
         let lamp = lamp(pair, &inputs.calibration)?;
         let light = stage.illuminate(camera, &lamp);
         let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &rho);
@@ -83,7 +83,11 @@ pub(super) fn make(
         let [known_file, irradiance_file, reflectance_file] =
             names.each_ref().map(|n| session.path().join(n));
         whole(&known_file, |to| {
-            exr_image::write_rgb(to, &known.rgb, &meta("light of the flash alone, DN; 0 where clipped"))
+            exr_image::write_rgb(
+                to,
+                &known.rgb,
+                &meta("light of the flash alone at the reference energy, DN; 0 where clipped"),
+            )
         })?;
         whole(&irradiance_file, |to| {
             exr_image::write_rgb(

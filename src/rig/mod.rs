@@ -8,6 +8,6 @@ mod traits;
 pub mod usb;
 
 pub use traits::{
-    Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, LockItem, LockReport,
-    LockState, Shot, ShotFile, ShotTimes,
+    Camera, CameraError, CameraInfo, Flash, FlashError, FlashStatus, LockItem, LockReport, LockState, Shot,
+    ShotFile, ShotTimes,
 };

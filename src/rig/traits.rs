@@ -1,6 +1,6 @@
 //! What capture asks of a camera and of a flash, whatever stands behind them.
 
-use crate::pair::{Dial, Offered, Settings};
+use crate::pair::{Dial, FlashSync, Offered, Settings};
 use crate::units::Seconds;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
@@ -273,30 +273,28 @@ pub struct FlashStatus {
     pub words: String,
 }
 
-/// One closing of the camera's sync contact, as the controller saw it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FlashShot {
-    /// Running number of the sync on the board.
-    pub number: u32,
-    /// Whether the board let it through to the flash.
-    pub triggered: bool,
-    /// Tag given when arming; 0 when not armed.
-    pub tag: u32,
-    /// Light energy measured, in the board's counts; `None` when no pulse was seen.
-    pub energy_counts: Option<f64>,
-}
-
 /// What went wrong at the flash, and what the operator can do.
 #[derive(Debug, thiserror::Error)]
 pub enum FlashError {
     /// The port could not be opened.
-    #[error(
-        "flash controller port {port} cannot be opened: {reason}; is it plugged in, and may you use it (group dialout)?"
-    )]
+    #[error("flash controller port {port} cannot be opened ({reason}): {advice}")]
     Open {
         /// The device path.
         port: String,
         /// What the system said.
+        reason: String,
+        /// What to do.
+        advice: String,
+    },
+    /// Something answers, but not in this program's protocol.
+    #[error(
+        "what is on {port} is no flash controller that this program can speak to: {reason}. If it is your controller, \
+         program it with `unlit flash upload {port}`; else choose another port (`unlit flash ports`)"
+    )]
+    Firmware {
+        /// The device path.
+        port: String,
+        /// What is wrong with its answers.
         reason: String,
     },
     /// The board stays silent.
@@ -345,5 +343,5 @@ pub trait Flash: Send {
     fn disarm(&mut self) -> Result<(), FlashError>;
 
     /// The syncs seen since the last call, waiting up to `patience` for the first.
-    fn syncs(&mut self, patience: Duration) -> Result<Vec<FlashShot>, FlashError>;
+    fn syncs(&mut self, patience: Duration) -> Result<Vec<FlashSync>, FlashError>;
 }

@@ -12,5 +12,5 @@ mod wires;
 pub mod world;
 
 pub use crate::codec::cr2;
-pub use board::{Board, BoardOptions};
+pub use board::{Board, BoardOptions, Heat, LampOptions, Recharge, Rise};
 pub use wires::{SyncContact, View};

@@ -5,10 +5,10 @@ use crate::wall::{photo, settings};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use unlit::capture::{FlashKind, RigSource};
-use unlit::pair::{Dial, Exposure, Offered, Settings};
+use unlit::pair::{Dial, Exposure, FlashSync, Offered, Settings, SyncSource};
 use unlit::rig::{
-    Camera, CameraError, CameraInfo, Flash, FlashError, FlashShot, FlashStatus, LockItem, LockReport,
-    LockState, Shot, ShotFile, ShotTimes,
+    Camera, CameraError, CameraInfo, Flash, FlashError, FlashStatus, LockItem, LockReport, LockState, Shot,
+    ShotFile, ShotTimes,
 };
 use unlit::units::{FNumber, Iso, Seconds};
 
@@ -44,7 +44,7 @@ pub(crate) enum Trouble {
 struct Inside {
     trouble: Trouble,
     armed: Option<u32>,
-    syncs: Vec<FlashShot>,
+    syncs: Vec<FlashSync>,
     releases: u32,
     dials: Option<Exposure>,
     log: Vec<&'static str>,
@@ -207,11 +207,18 @@ impl Camera for FakeCamera {
         let fires_anyway = room.trouble == Trouble::FiresInTheDark && tag.is_none();
         let lit = (triggered && room.trouble != Trouble::Misfire) || fires_anyway;
         if room.trouble != Trouble::NoContact {
-            room.syncs.push(FlashShot {
+            room.syncs.push(FlashSync {
                 number: release,
+                source: SyncSource::Contact,
                 triggered: triggered || fires_anyway,
                 tag: tag.unwrap_or(0),
-                energy_counts: lit.then_some(1000.0),
+                at: None,
+                energy_counts: if lit { 1000.0 } else { 1.0 },
+                peak_counts: if lit { 600.0 } else { 0.0 },
+                dark_counts: 12.0,
+                lit_samples: if lit { 200 } else { 0 },
+                clipped_samples: 0,
+                bounces: 0,
             });
         }
         let gain = if room.trouble == Trouble::Overexposed { 8.0 } else { 1.0 };
@@ -245,7 +252,7 @@ impl Flash for FakeFlash {
         Ok(())
     }
 
-    fn syncs(&mut self, _patience: Duration) -> Result<Vec<FlashShot>, FlashError> {
+    fn syncs(&mut self, _patience: Duration) -> Result<Vec<FlashSync>, FlashError> {
         Ok(std::mem::take(&mut self.0.0.lock().unwrap().syncs))
     }
 }

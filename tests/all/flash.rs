@@ -2,8 +2,9 @@
 
 use std::path::Path;
 use std::time::{Duration, Instant};
+use unlit::pair::FlashSync;
 use unlit::rig::flash::SerialFlash;
-use unlit::rig::{Flash, FlashError, FlashShot};
+use unlit::rig::{Flash, FlashError};
 use unlit::studio::{Board, BoardOptions, SyncContact};
 
 const TTL: Duration = Duration::from_secs(5);
@@ -20,7 +21,7 @@ fn quick() -> BoardOptions {
 }
 
 /// The one sync that a frame gives.
-fn one(flash: &mut SerialFlash) -> FlashShot {
+fn one(flash: &mut SerialFlash) -> FlashSync {
     let shots = flash.syncs(PATIENCE).unwrap();
     assert_eq!(shots.len(), 1, "{shots:?}");
     shots[0]
@@ -50,13 +51,13 @@ fn dark_frame_of_an_armed_pair_stays_dark() {
     flash.disarm().unwrap();
     assert_eq!(board.close(), 0.0);
     let dark = one(&mut flash);
-    assert_eq!((dark.triggered, dark.tag, dark.energy_counts), (false, 0, None));
+    assert_eq!((dark.triggered, dark.tag, dark.light()), (false, 0, None));
 
     flash.arm(7, TTL).unwrap();
     assert!(board.close() > 0.9);
     let lit = one(&mut flash);
     assert_eq!((lit.triggered, lit.tag, lit.number), (true, 7, dark.number + 1));
-    assert!(lit.energy_counts.unwrap() > 50_000.0);
+    assert!(lit.light().unwrap() > 50_000.0);
     assert_eq!(board.close(), 0.0, "one shot");
 }
 
@@ -68,12 +69,12 @@ fn fifty_dark_and_fifty_lit_frames_give_none_and_fifty_triggers() {
         flash.disarm().unwrap();
         let energy = board.close();
         let dark = one(&mut flash);
-        dark_triggers += u32::from(dark.triggered || energy > 0.0 || dark.energy_counts.is_some());
+        dark_triggers += u32::from(dark.triggered || energy > 0.0 || dark.light().is_some());
         flash.arm(pair, TTL).unwrap();
         let energy = board.close();
         let lit = one(&mut flash);
         assert_eq!(lit.tag, pair);
-        lit_triggers += u32::from(lit.triggered && energy > 0.0 && lit.energy_counts.is_some());
+        lit_triggers += u32::from(lit.triggered && energy > 0.0 && lit.light().is_some());
     }
     assert_eq!((dark_triggers, lit_triggers), (0, 50));
 }
@@ -86,7 +87,7 @@ fn the_measured_energy_follows_the_flash() {
         flash.arm(tag, TTL).unwrap();
         let energy = board.close();
         given.push(energy);
-        ratios.push(one(&mut flash).energy_counts.unwrap() / energy);
+        ratios.push(one(&mut flash).light().unwrap() / energy);
     }
     let (mean, sd) = mean_and_sd(&given);
     assert!((mean - 1.0).abs() < 0.002, "mean energy {mean}");
@@ -258,7 +259,7 @@ fn a_lost_report_is_fetched() {
     assert!(board.close() > 0.9);
     let first = one(&mut flash);
     assert_eq!((first.number, first.tag, first.triggered), (1, 1, true));
-    assert!(first.energy_counts.is_some());
+    assert!(first.light().is_some());
 
     flash.disarm().unwrap();
     board.lose(1, 0);
@@ -285,7 +286,7 @@ fn a_misfire_is_a_trigger_without_light() {
     flash.arm(1, TTL).unwrap();
     assert_eq!(board.close(), 0.0);
     let shot = one(&mut flash);
-    assert_eq!((shot.triggered, shot.energy_counts), (true, None));
+    assert_eq!((shot.triggered, shot.light()), (true, None));
     flash.arm(2, TTL).unwrap();
     assert!(board.close() > 0.9);
 }

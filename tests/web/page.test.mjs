@@ -48,6 +48,19 @@ test("the button takes a pair, and a second page sees it, on a telephone too", a
   await second.page.close();
 });
 
+test("the flash is told pair by pair: both frames proven, energies with their deviation", async () => {
+  const { page, complaints } = await house.visit(1280, 900);
+  const flash = page.locator(".flash");
+  await flash.locator("circle").nth(1).waitFor();
+  assert.equal(await flash.locator("circle").count(), 2);
+  await flash.getByText("2 of 2 pairs are proven dark and lit").waitFor();
+  assert.match(await flash.locator("title").first().textContent(), /Pair 1: [01]\.\d{4} ± 0\.000\d/);
+  await page.locator(".last").getByText("the frame without flash is proven dark; one pulse of").waitFor();
+  await shot(page, "flash-1280");
+  assert.deepEqual(complaints, []);
+  await page.close();
+});
+
 test("typing a space into the name of a session takes no pair", async () => {
   const { page, complaints } = await house.visit(1280, 900);
   await page.locator('[data-pair="2"]').waitFor();

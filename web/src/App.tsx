@@ -1,5 +1,6 @@
 import { Devices } from "./Devices";
 import { Exposure } from "./Exposure";
+import { Flash } from "./Flash";
 import { Jobs } from "./Jobs";
 import { LastPair } from "./LastPair";
 import { useLive } from "./live";
@@ -48,6 +49,7 @@ export function App() {
         </div>
         <aside>
           <Devices live={live} />
+          <Flash live={live} />
           <Exposure live={live} />
           <Jobs live={live} />
         </aside>

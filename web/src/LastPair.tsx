@@ -27,6 +27,7 @@ export function LastPair({ live }: { live: Live }) {
           ))}
         </div>
       </div>
+      {pair.flash && <p class="dim">{pair.flash.words}</p>}
       <Histograms session={session.name} pair={pair} scale={scale} region={JSON.stringify(session.region ?? null)} />
     </section>
   );

@@ -35,6 +35,33 @@ export interface Pair {
   reasons: Reason[];
   off: Frame;
   on: Frame;
+  flash?: { words: string } | null;
+}
+
+/** One measured pulse of an accepted pair. */
+export interface Pulse {
+  pair: number;
+  rest_s?: number | null;
+  energy_counts: number;
+  /** Energy against the reference, and its standard deviation. */
+  gain: number;
+  deviation: number;
+}
+
+export interface Repeatability {
+  shots: number;
+  spread: number;
+  corrected: number;
+}
+
+/** What a session's pairs tell of the flash. */
+export interface FlashAccount {
+  words: string;
+  advice: { code: string; sentence: string }[];
+  pairs: number;
+  misfires: number;
+  pulses: Pulse[];
+  repeatability?: Repeatability | null;
 }
 
 export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
@@ -184,6 +211,8 @@ export const api = {
   session: (name: string) => call<Session>("GET", `/sessions/${at(name)}`),
   openSession: (name: string) => call<Session>("POST", "/sessions", { name }),
   pairs: (session: string) => call<Pair[]>("GET", `/sessions/${at(session)}/pairs`),
+  flash: (session: string, signal: AbortSignal) =>
+    call<FlashAccount>("GET", `/sessions/${at(session)}/flash`, undefined, signal),
   takePair: () => call<Job>("POST", "/pairs"),
   confirm: () => call<void>("POST", "/confirm"),
   cancel: (job: number) => call<Job>("DELETE", `/jobs/${job}`),

@@ -1,6 +1,6 @@
 // Every sentence that the page says by itself. The server's own sentences are shown as they come.
 
-import type { Exposure, FoundExposure, Job, Reason, Region } from "./api";
+import type { Exposure, FoundExposure, Job, Pulse, Reason, Region, Repeatability } from "./api";
 
 const percent = (share: number, digits: number) => `${(share * 100).toFixed(digits)} %`;
 
@@ -56,6 +56,15 @@ export const words = {
   noAnswer: "The unlit program does not answer. Is it still running?",
   answered: (status: number) => `The unlit program answered ${status}.`,
   unknown: "–",
+
+  flashLight: "Flash light",
+  energies: (pulses: number, reach: number) =>
+    `Energy of ${pulses} pulses, within ${percent(reach, 1)} of their mean`,
+  energy: (p: Pulse) =>
+    `Pair ${p.pair}: ${p.gain.toFixed(4)} ± ${p.deviation.toFixed(4)} of the reference energy`,
+  energyScale: (reach: number) => `Energy pair by pair, scale ± ${percent(reach, 1)}`,
+  repeatability: (r: Repeatability) =>
+    `Known light over ${r.shots} shots: ${percent(r.spread, 3)} as it came, ${percent(r.corrected, 3)} by energy.`,
 
   cameraInUse: "Camera in use",
   noCameraInUse: "none",
@@ -137,6 +146,7 @@ const kinds: Record<string, string> = {
   import_scene: "Importing the scene",
   process: "Making the model",
   find_exposure: "Finding the exposure",
+  repeatability: "Measuring how steady the flash is",
 };
 
 export function jobTitle(job: Job): string {

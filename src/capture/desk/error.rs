@@ -6,6 +6,7 @@ use crate::capture::place::PlaceError;
 use crate::capture::thumbnail::ThumbnailError;
 use crate::jobs::{JobsError, WorkError};
 use crate::pair::WindowOutside;
+use crate::pipeline::energy::EnergyError;
 use crate::progress::Cancelled;
 use crate::session::SessionError;
 
@@ -51,6 +52,9 @@ pub enum DeskError {
     /// The disk.
     #[error(transparent)]
     Place(#[from] PlaceError),
+    /// The session's flash.
+    #[error(transparent)]
+    Energy(#[from] EnergyError),
     /// The queue.
     #[error(transparent)]
     Jobs(#[from] JobsError),

@@ -14,6 +14,7 @@ use super::thumbnail;
 use super::{Devices, Frame};
 use crate::jobs::{Queue, WorkError};
 use crate::pair::{PairRecord, Plan, Verdict, Window};
+use crate::pipeline::energy::{self, FlashAccount};
 use crate::progress::Progress;
 use crate::session::{self, Session, SessionError};
 use serde_json::{Value, json};
@@ -298,6 +299,11 @@ impl Desk {
         let session = self.session(session)?;
         let record = self.pair(&session, number)?;
         Ok(thumbnail::of_frame(&session, &record, frame)?)
+    }
+
+    /// What a session's pairs tell of the flash.
+    pub fn flash_account(&self, session: &str) -> Result<FlashAccount, DeskError> {
+        Ok(energy::account(&*self.session(session)?)?)
     }
 
     fn pair(&self, session: &Session, number: u32) -> Result<PairRecord, DeskError> {

@@ -3,26 +3,37 @@
 //! [`SerialFlash`] implements [`Flash`]. One thread owns the port; the driver talks to it over channels, so
 //! that pings, retries and reconnecting go on while nobody asks for anything. A board that restarted has
 //! forgotten its shots and closed its gate: the next [`Flash::syncs`] says so instead of guessing.
+//! `docs/flash.md` tells the same to the one who shoots.
 
+mod clock;
+mod condition;
 pub(crate) mod line;
 mod link;
+mod news;
 mod ports;
+pub mod pulse;
+mod settings;
+mod shared;
 mod worker;
 
+pub use clock::ClockState;
+pub use news::{FlashEvent, FlashNews};
 pub use ports::list;
+pub use settings::{BoardSettings, FlashSettings};
 
+use self::condition::RECYCLE_PATIENCE;
 use self::line::Fields;
-use self::link::Link;
-use self::worker::{Command, Shared, Worker};
-use super::{Flash, FlashError, FlashShot, FlashStatus};
+use self::shared::Shared;
+use self::worker::{Order, What, Worker};
+use super::{Flash, FlashError, FlashStatus};
+use crate::pair::FlashSync;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::mpsc::{Sender, channel};
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// The longest recycling that is worth waiting for.
-const RECYCLE_PATIENCE: Duration = Duration::from_secs(15);
 /// Shortest pause between questions whether the flash has recycled.
 const RECYCLE_STEP: Duration = Duration::from_millis(10);
 /// The board's errors that mean "later".
@@ -32,61 +43,87 @@ const RATE: u32 = 12;
 /// A flash controller on a serial port.
 pub struct SerialFlash {
     port: String,
-    commands: Option<Sender<Command>>,
+    orders: Option<Sender<Order>>,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl SerialFlash {
-    /// Opens the port (a path of [`list`], or a simulated board's) and greets the board. The gate is closed
-    /// then. Takes up to 4 s on a board that resets when its port is opened.
+    /// Opens the port (a path of [`list`], or a simulated board's) and greets the board, whose own settings stay. The
+    /// gate is closed then. Takes up to 4 s on a board that resets when its port is opened.
     pub fn open(path: &Path) -> Result<Self, FlashError> {
-        let (link, hello) = Link::open(path)?;
+        Self::open_with(path, FlashSettings::default())
+    }
+
+    /// [`SerialFlash::open`] with settings, which are sent again whenever the board restarts.
+    pub fn open_with(path: &Path, settings: FlashSettings) -> Result<Self, FlashError> {
         let shared = Arc::new(Shared::default());
-        let worker = Worker::new(path.to_owned(), link, &hello, shared.clone());
-        let (commands, receiver) = channel();
+        let worker = Worker::open(path.to_owned(), settings, shared.clone())?;
+        let (orders, receiver) = channel();
         let port = path.display().to_string();
         let thread = std::thread::Builder::new()
             .name("flash".into())
             .spawn(move || worker.run(&receiver))
-            .map_err(|error| FlashError::Open { port: port.clone(), reason: error.to_string() })?;
-        Ok(Self { port, commands: Some(commands), shared, thread: Some(thread) })
+            .map_err(|error| FlashError::Open {
+                port: port.clone(),
+                reason: error.to_string(),
+                advice: "the system gives no more threads; close other programs".into(),
+            })?;
+        Ok(Self { port, orders: Some(orders), shared, thread: Some(thread) })
     }
 
-    fn ask(&self, body: &str, fresh: bool) -> Result<Fields, FlashError> {
+    /// Who answers: firmware, processor, port.
+    pub fn description(&self) -> String {
+        self.shared.lock().description.clone()
+    }
+
+    /// The settings that are in force on the board.
+    pub fn settings(&self) -> Option<BoardSettings> {
+        self.shared.lock().settings
+    }
+
+    /// How the board's clock runs against this computer's.
+    pub fn clock(&self) -> Option<ClockState> {
+        self.shared.lock().clock
+    }
+
+    /// Everything that happens from now on, as it happens. Ends with the driver.
+    pub fn follow(&self) -> Receiver<FlashEvent> {
+        self.shared.follow()
+    }
+
+    /// Fires the flash `delay` after the board has the order, without any sync; waits for the flash to recycle.
+    /// `tag` comes back in [`Flash::syncs`]. Never used while pairs are shot.
+    pub fn fire(&mut self, tag: u32, delay: Duration) -> Result<(), FlashError> {
+        self.disarm()?;
+        self.once_recycled(&format!("fire d={} tag={tag}", delay.as_micros()))
+    }
+
+    /// What the photodiode's converter reads now, counts of 1023.
+    pub fn light_level(&mut self) -> Result<u32, FlashError> {
+        let fields = self.ask("adc ch=0", false)?;
+        fields.uint("v").ok_or_else(|| FlashError::Firmware {
+            port: self.port.clone(),
+            reason: "its answer to adc lacks a number of protocol 1".into(),
+        })
+    }
+
+    fn order(&self, what: What) -> Result<Fields, FlashError> {
         let gone = || FlashError::Lost { port: self.port.clone(), reason: "its driver thread ended".into() };
         let (answer, result) = channel();
-        let command = Command { body: body.to_owned(), fresh, answer };
-        self.commands.as_ref().ok_or_else(gone)?.send(command).map_err(|_| gone())?;
+        self.orders.as_ref().ok_or_else(gone)?.send(Order { what, answer }).map_err(|_| gone())?;
         result.recv().map_err(|_| gone())?
     }
 
-    /// What the board says about itself now, in words; an error if it does not answer.
-    fn condition(&self) -> Result<(bool, String), FlashError> {
-        let stat = self.ask("stat", false)?;
-        if stat.uint("closed") == Some(1) {
-            let words = "the camera's sync contact is closed; if it stays so, check the cable and the camera";
-            return Ok((false, words.into()));
-        }
-        if stat.uint("ready") == Some(1) {
-            return Ok((true, "ready".into()));
-        }
-        Ok((true, format!("recycling, {} ms to go", stat.uint("wait").unwrap_or(0))))
-    }
-}
-
-impl Flash for SerialFlash {
-    fn status(&mut self) -> FlashStatus {
-        let (ready, words) = self.condition().unwrap_or_else(|error| (false, error.to_string()));
-        FlashStatus { description: self.shared.lock().description.clone(), ready, words }
+    fn ask(&self, body: &str, fresh: bool) -> Result<Fields, FlashError> {
+        self.order(What::Ask { body: body.to_owned(), fresh })
     }
 
-    fn arm(&mut self, tag: u32, time_to_live: Duration) -> Result<(), FlashError> {
-        self.disarm()?;
+    /// Repeats a request that opens a frame while the flash recycles.
+    fn once_recycled(&self, request: &str) -> Result<(), FlashError> {
         let deadline = Instant::now() + RECYCLE_PATIENCE;
-        let request = format!("arm tag={tag} ttl={}", time_to_live.as_millis());
         loop {
-            match self.ask(&request, true) {
+            match self.ask(request, true) {
                 Err(FlashError::Refused { code: NOT_READY | RATE, .. }) => {
                     let wait_ms = self.ask("stat", false)?.uint("wait").unwrap_or(0);
                     let wait = Duration::from_millis(u64::from(wait_ms)).max(RECYCLE_STEP);
@@ -99,20 +136,40 @@ impl Flash for SerialFlash {
             }
         }
     }
+}
+
+impl Flash for SerialFlash {
+    /// Never waits for a board that is away.
+    fn status(&mut self) -> FlashStatus {
+        if self.shared.lock().condition.away.is_none()
+            && let Err(error) = self.ask("stat", false)
+        {
+            tracing::debug!(%error, "flash status");
+        }
+        let state = self.shared.lock();
+        let (ready, words) = state.condition.words(&self.port, Instant::now());
+        FlashStatus { description: state.description.clone(), ready, words }
+    }
+
+    fn arm(&mut self, tag: u32, time_to_live: Duration) -> Result<(), FlashError> {
+        self.disarm()?;
+        self.once_recycled(&format!("arm tag={tag} ttl={}", time_to_live.as_millis()))?;
+        self.shared.lock().condition.armed_until = Some(Instant::now() + time_to_live);
+        Ok(())
+    }
 
     fn disarm(&mut self) -> Result<(), FlashError> {
         self.ask("disarm", true).map(|_| ())
     }
 
-    fn syncs(&mut self, patience: Duration) -> Result<Vec<FlashShot>, FlashError> {
-        let quiet = {
-            let state = self.shared.wait(patience);
-            state.shots.is_empty() && state.broken.is_none()
-        };
-        if quiet {
-            // Nothing was heard; the answer to a ping tells whether a report was lost on its way.
-            self.ask("ping", false)?;
-        }
+    /// A sync whose contact closed before the call is in the answer, or the answer is an error: whatever came in, the
+    /// board is asked once more what it has counted, after the time that a report may take.
+    fn syncs(&mut self, patience: Duration) -> Result<Vec<FlashSync>, FlashError> {
+        let begun = Instant::now();
+        self.shared.wait(patience);
+        let report = self.settings().map_or(Duration::ZERO, |settings| settings.report_delay());
+        std::thread::sleep(report.saturating_sub(begun.elapsed()));
+        self.order(What::Audit)?;
         let mut state = self.shared.lock();
         let shots = std::mem::take(&mut state.shots);
         match state.broken.take() {
@@ -124,8 +181,9 @@ impl Flash for SerialFlash {
 
 impl Drop for SerialFlash {
     fn drop(&mut self) {
-        // Without commands the thread closes the gate and ends.
-        self.commands = None;
+        // Without orders the thread closes the gate and ends.
+        self.shared.stop.store(true, Ordering::Relaxed);
+        self.orders = None;
         if let Some(thread) = self.thread.take() {
             // A panic of the thread has been printed; there is no one left to tell.
             let _ = thread.join();

@@ -6,13 +6,18 @@
 
 #[expect(unsafe_code, reason = "calls the C core; every block has its SAFETY line")]
 mod core;
+mod ledger;
 mod light;
 #[cfg(test)]
 mod model;
 #[cfg(test)]
 mod tests;
 
+pub use self::ledger::Rise;
+pub use self::light::{Heat, LampOptions, Recharge};
+
 use self::core::{Config, Core};
+use self::ledger::Ledger;
 use self::light::{Diode, Lamp};
 use super::SyncContact;
 use serialport::{SerialPort, TTYPort};
@@ -22,6 +27,7 @@ use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use tempfile::TempDir;
 
 /// Time between photodiode samples, us; `CORE_SAMPLE_US` of the core.
 const SAMPLE_US: u64 = 13;
@@ -41,12 +47,14 @@ pub struct BoardOptions {
     pub jitter_sd: f64,
     /// Recycle time of the flash, which the board keeps too.
     pub recycle: Duration,
+    /// What else makes one pulse differ from the next; nothing by default.
+    pub lamp: LampOptions,
 }
 
 impl Default for BoardOptions {
     /// The jitter that the thesis measured, and a recycle time short enough for a demonstration.
     fn default() -> Self {
-        Self { seed: 1, jitter_sd: 0.0029, recycle: Duration::from_millis(150) }
+        Self { seed: 1, jitter_sd: 0.0029, recycle: Duration::from_millis(150), lamp: LampOptions::default() }
     }
 }
 
@@ -55,6 +63,11 @@ struct Bench {
     core: Core,
     lamp: Lamp,
     diode: Diode,
+    ledger: Ledger,
+    /// What the host has sent of a line not yet ended.
+    half_a_line: Vec<u8>,
+    /// Without power nothing happens at all.
+    powered: bool,
     options: BoardOptions,
     started: Instant,
     /// When the core last booted; its clock starts there, us.
@@ -77,9 +90,16 @@ impl Bench {
             let message = "jitter of the simulated flash: a relative standard deviation in 0..0.5";
             return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
         }
+        if let Err(message) = options.lamp.check() {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
+        }
+        let config = Config { rec_ms, ..Config::default() };
         let mut bench = Self {
-            core: Core::new(Config { rec_ms, ..Config::default() }, next_boot(), 0),
-            lamp: Lamp::new(options.seed, options.jitter_sd, options.recycle),
+            core: Core::new(config, next_boot(), 0),
+            lamp: Lamp::new(options.seed, options.jitter_sd, options.recycle, options.lamp),
+            ledger: Ledger::new(Duration::from_millis(config.sil_ms.into())),
+            half_a_line: Vec::new(),
+            powered: true,
             diode: Diode::new(options.seed ^ 0x5EED_D10D),
             options,
             started: Instant::now(),
@@ -138,12 +158,16 @@ impl Bench {
 
     fn fire(&mut self, now: u64) -> f64 {
         let energy = self.lamp.trigger(now);
+        self.ledger.rose(now, energy);
         self.diode.light(now, energy);
         self.open_window(now);
         energy
     }
 
     fn close_contact(&mut self) -> f64 {
+        if !self.powered {
+            return 0.0;
+        }
         let now = self.now();
         self.advance(now);
         let core_time = self.core_time(now);
@@ -155,11 +179,23 @@ impl Bench {
     }
 
     fn exchange(&mut self, from_host: &[u8]) -> Vec<u8> {
+        if !self.powered {
+            return Vec::new();
+        }
         let now = self.now();
         self.advance(now);
         let core_time = self.core_time(now);
-        self.core.receive(from_host, core_time);
         let mut sent = self.core.sent();
+        for piece in from_host.split_inclusive(|byte| *byte == b'\n') {
+            self.core.receive(piece, core_time);
+            let answer = self.core.sent();
+            self.half_a_line.extend_from_slice(piece);
+            if piece.ends_with(b"\n") {
+                let request = std::mem::take(&mut self.half_a_line);
+                self.ledger.answered(now, &request, &answer);
+            }
+            sent.extend(answer);
+        }
         if self.lose != (0, 0) {
             sent = self.without_lost_lines(&sent);
         }
@@ -177,10 +213,27 @@ impl Bench {
     }
 
     fn reset(&mut self) {
+        self.ledger.forgotten();
+        self.half_a_line.clear();
         self.booted = self.now();
         let rec_ms = self.options.recycle.as_millis() as u16;
         self.core = Core::new(Config { rec_ms, ..Config::default() }, next_boot(), 0);
         self.settle();
+    }
+}
+
+impl Bench {
+    fn lose_power(&mut self) {
+        self.powered = false;
+        // The trigger is low and the gate closed from here on.
+        self.reset();
+    }
+
+    fn power_up(&mut self) {
+        if !self.powered {
+            self.powered = true;
+            self.reset();
+        }
     }
 }
 
@@ -190,35 +243,107 @@ fn next_boot() -> u16 {
     BOOTS.fetch_add(1, Ordering::Relaxed)
 }
 
+/// Name of the board's port in a folder of its own, as udev names ports under `/dev/serial/by-id`.
+const PORT_NAME: &str = "usb-unlit_flash_controller-if00";
+
+/// What drives the core: with a wire, turn by turn with the host's bytes; without one, the turns alone.
+struct Wire {
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<()>,
+}
+
+impl Wire {
+    fn start(master: Option<TTYPort>, bench: Arc<Mutex<Bench>>) -> io::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let thread = std::thread::Builder::new()
+            .name("studio-board".into())
+            .spawn(move || run(master, &bench, &stopped))?;
+        Ok(Self { stop, thread })
+    }
+
+    /// Cuts it: the board's side of the pseudo terminal is closed when this returns.
+    fn cut(self) {
+        self.stop.store(true, Ordering::Relaxed);
+        // A panic of the board's thread has been printed; there is no one left to tell.
+        let _ = self.thread.join();
+    }
+}
+
 /// A running board. Dropping it unplugs it: the driver's port breaks.
 pub struct Board {
     bench: Arc<Mutex<Bench>>,
+    /// Where the port's stable name is.
+    folder: TempDir,
     device: PathBuf,
-    stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    wire: Mutex<Option<Wire>>,
 }
 
 impl Board {
     /// Powers a board up on a new pseudo terminal.
     pub fn start(options: BoardOptions) -> io::Result<Self> {
+        let bench = Arc::new(Mutex::new(Bench::new(options)?));
+        let folder = tempfile::Builder::new().prefix("unlit-board-").tempdir()?;
+        let device = folder.path().join(PORT_NAME);
+        let board = Self { bench, folder, device, wire: Mutex::new(None) };
+        board.plug_in()?;
+        Ok(board)
+    }
+
+    /// The serial device that a driver opens: a name that stays the same however often the board is plugged in. There
+    /// is nothing behind it while the board is unplugged.
+    pub fn device(&self) -> &Path {
+        &self.device
+    }
+
+    /// Fault: the port is pulled. The driver's side hangs up at once and the port's name is gone. If its `power` goes
+    /// too, the board falls dark and forgets everything; otherwise it runs on, hearing nothing from its host.
+    pub fn unplug(&self, power: bool) -> io::Result<()> {
+        let mut wire = self.wire.lock().unwrap_or_else(PoisonError::into_inner);
+        if power {
+            lock(&self.bench).lose_power();
+        }
+        if let Some(wire) = wire.take() {
+            wire.cut();
+        }
+        match std::fs::remove_file(&self.device) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+        if lock(&self.bench).powered {
+            *wire = Some(Wire::start(None, self.bench.clone())?);
+        }
+        Ok(())
+    }
+
+    /// The port is plugged in again: a new pseudo terminal under the old name. A board that had lost its power boots
+    /// with a new number.
+    pub fn plug_in(&self) -> io::Result<()> {
+        let mut wire = self.wire.lock().unwrap_or_else(PoisonError::into_inner);
         let (pair_master, slave) = TTYPort::pair()?;
         // A copy that children do not inherit; else a camera host would keep an unplugged board alive.
         let mut master = pair_master.try_clone_native()?;
         drop(pair_master);
         master.set_timeout(TURN)?;
-        let device = slave.name().ok_or_else(|| io::Error::other("the pseudo terminal has no name"))?.into();
-        let bench = Arc::new(Mutex::new(Bench::new(options)?));
-        let stop = Arc::new(AtomicBool::new(false));
-        let thread = std::thread::Builder::new().name("studio-board".into()).spawn({
-            let (bench, stop) = (bench.clone(), stop.clone());
-            move || run(master, &bench, &stop)
-        })?;
-        Ok(Self { bench, device, stop, thread: Some(thread) })
+        let terminal = slave.name().ok_or_else(|| io::Error::other("the pseudo terminal has no name"))?;
+        if let Some(wire) = wire.take() {
+            wire.cut();
+        }
+        lock(&self.bench).power_up();
+        *wire = Some(Wire::start(Some(master), self.bench.clone())?);
+        let aside = self.folder.path().join(".new");
+        std::os::unix::fs::symlink(terminal, &aside)?;
+        std::fs::rename(&aside, &self.device)
     }
 
-    /// The serial device that a driver opens.
-    pub fn device(&self) -> &Path {
-        &self.device
+    /// Every rise of the trigger so far.
+    pub fn rises(&self) -> Vec<Rise> {
+        lock(&self.bench).ledger.rises().to_vec()
+    }
+
+    /// The operator turns the flash's power: `stops` below full, 0 to begin with.
+    pub fn set_power(&self, stops: f64) {
+        lock(&self.bench).lamp.set_power(stops);
     }
 
     /// Fault: the next `count` triggers give no light.
@@ -245,10 +370,8 @@ impl SyncContact for Board {
 
 impl Drop for Board {
     fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            // A panic of the board's thread has been printed; there is no one left to tell.
-            let _ = thread.join();
+        if let Some(wire) = self.wire.get_mut().unwrap_or_else(PoisonError::into_inner).take() {
+            wire.cut();
         }
     }
 }
@@ -259,20 +382,24 @@ fn lock(bench: &Mutex<Bench>) -> MutexGuard<'_, Bench> {
 }
 
 /// The wire between pseudo terminal and core. Bytes that no one listens to are lost, as on a real wire.
-fn run(mut master: TTYPort, bench: &Mutex<Bench>, stop: &AtomicBool) {
+fn run(mut master: Option<TTYPort>, bench: &Mutex<Bench>, stop: &AtomicBool) {
     let mut buffer = [0u8; 256];
     while !stop.load(Ordering::Relaxed) {
-        let (count, listened) = match master.read(&mut buffer) {
-            Ok(count) => (count, true),
-            Err(error) if error.kind() == io::ErrorKind::TimedOut => (0, true),
-            Err(_) => {
+        let (count, listened) = match master.as_mut().map(|master| master.read(&mut buffer)) {
+            Some(Ok(count)) => (count, true),
+            Some(Err(error)) if error.kind() == io::ErrorKind::TimedOut => (0, true),
+            Some(Err(_)) | None => {
                 // No driver has the port open; poll(2) does not wait then.
                 std::thread::sleep(TURN);
                 (0, false)
             }
         };
         let sent = lock(bench).exchange(&buffer[..count]);
-        if listened && !sent.is_empty() && master.write_all(&sent).is_err() {
+        if let Some(master) = &mut master
+            && listened
+            && !sent.is_empty()
+            && master.write_all(&sent).is_err()
+        {
             tracing::debug!(lost = sent.len(), "no one reads the simulated board");
         }
     }

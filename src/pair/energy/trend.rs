@@ -1,0 +1,470 @@
+//! The flash over a session: how its energy went, what that hangs on, and what the photographer should do.
+//!
+//! Three causes are looked for in the gains `g_i` of the pulses, each with its own signature in time:
+//!
+//! ```text
+//! recharge   exp(-r_i / tau)                         r_i: rest since the pulse before; the capacitor is not full
+//! heat       sum over j < i of exp(-(t_i - t_j) / T)  the tube warms with each pulse and cools with T
+//! droop      i                                        the battery falls with each pulse
+//! ```
+//!
+//! tau and T are tried on grids; a cause counts only if it explains the series significantly better than without
+//! ([`super::fit`]). Advice is given where an effect is large enough to matter. The measured gain takes all of it out
+//! of the pairs; advice keeps it small, since a flash that fades also changes its colour.
+
+use super::fit::{Candidate, Fit, explain};
+use super::{EnergyScale, mean_and_deviation, median};
+use crate::pair::{PairRecord, ReasonCode, Verdict};
+use crate::photometry::FlashGain;
+use serde::{Deserialize, Serialize};
+
+/// Fewer pulses have no trend.
+const FEWEST_PULSES: usize = 10;
+/// Least F value of a cause: below 1 % by chance for each of some ten candidates.
+const LEAST_F: f64 = 14.0;
+/// Time constants tried, seconds.
+const RECHARGES: [f64; 6] = [0.3, 0.6, 1.2, 2.5, 5.0, 10.0];
+const COOLINGS: [f64; 4] = [45.0, 120.0, 300.0, 900.0];
+/// Loss of light that a longer rest should stay below.
+const RECHARGED: f64 = 0.003;
+/// Losses from which on advice is given.
+const WORTH_WAITING: f64 = 0.005;
+const WORTH_COOLING: f64 = 0.01;
+/// Spread without a cause from which on the flash is called unsteady.
+const UNSTEADY: f64 = 0.01;
+/// Share of pairs without a proper flash from which on advice is given, and least number of them.
+const MANY_MISFIRES: f64 = 0.1;
+/// Median gain so far from 1 that photodiode or power have likely been changed since the calibration.
+const CHANGED: f64 = 0.05;
+
+/// One pulse.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrendPulse {
+    /// Number of the pair.
+    pub pair: u32,
+    /// When, UTC seconds since 1970.
+    pub at: Option<f64>,
+    /// Seconds since the pulse before; absent for the first and where a time is not known.
+    pub rest: Option<f64>,
+    /// Energy, the controller's counts.
+    pub energy_counts: f64,
+    /// Gain against the reference.
+    pub gain: f64,
+    /// Standard deviation of `gain`.
+    pub deviation: f64,
+}
+
+/// What should be done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AdviceCode {
+    /// Longer rests between the pairs.
+    WaitLonger,
+    /// Less power, or a pause.
+    LowerPower,
+    /// A fresh battery.
+    ChargeBattery,
+    /// The flash varies without a cause that was found.
+    Unsteady,
+    /// Pairs without a proper flash.
+    Misfires,
+    /// The photodiode gets too much light.
+    PhotodiodeClips,
+    /// The photodiode sees nothing.
+    PhotodiodeBlind,
+    /// The energy is far from the calibration's.
+    CalibrateAgain,
+}
+
+/// One piece of advice.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Advice {
+    /// Stable name.
+    pub code: AdviceCode,
+    /// What was found and what to do.
+    pub sentence: String,
+}
+
+/// The flash over a session.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Trend {
+    /// Measured pulses of accepted pairs, in the order of the pairs.
+    pub pulses: Vec<TrendPulse>,
+    /// Relative standard deviation of their energy; absent with fewer than two.
+    pub spread: Option<f64>,
+    /// Relative change of energy from rests that were too short, at the median rest; negative is a loss.
+    pub recharge_loss: Option<f64>,
+    /// Relative change by heat at the last pulse.
+    pub heat_loss: Option<f64>,
+    /// Relative change from the first pulse to the last, otherwise unexplained.
+    pub droop: Option<f64>,
+    /// Pairs with a flash controller.
+    pub pairs: usize,
+    /// Those that were rejected for their lighting.
+    pub misfires: usize,
+    /// What to do; empty when all is well.
+    pub advice: Vec<Advice>,
+}
+
+impl Trend {
+    /// The flash in one sentence.
+    pub fn words(&self) -> String {
+        let proven = self.pairs - self.misfires;
+        if self.pairs == 0 {
+            return "No flash controller has watched a pair of this session yet.".into();
+        }
+        let proof = format!("{proven} of {} pairs are proven dark and lit", self.pairs);
+        match (self.spread, self.pulses.last()) {
+            (Some(spread), Some(last)) => format!(
+                "{proof}; the flash varies by {:.2} %, measured to {:.2} % and divided out.",
+                100.0 * spread,
+                100.0 * last.deviation / last.gain
+            ),
+            (None, Some(_)) => format!("{proof}; one pulse is measured."),
+            (_, None) => format!("{proof}; no pulse's energy is measured."),
+        }
+    }
+}
+
+fn advice(code: AdviceCode, sentence: String) -> Advice {
+    Advice { code, sentence }
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share.abs())
+}
+
+fn seconds(s: f64) -> String {
+    if s < 90.0 { format!("{:.0} s", s.ceil()) } else { format!("{:.0} minutes", (s / 60.0).ceil()) }
+}
+
+/// What the session's pairs tell of the flash. `pairs` in the order in which they were shot, rejected ones included.
+pub fn trend(pairs: &[PairRecord], scale: &EnergyScale) -> Trend {
+    let pulses = pulses(pairs, scale);
+    let seen: Vec<_> = pairs.iter().filter_map(|p| Some((p, p.flash.as_ref()?))).collect();
+    let misfired = |p: &&(&PairRecord, _)| {
+        p.0.reasons.iter().any(|r| matches!(r.code, ReasonCode::Misfire | ReasonCode::NotDark))
+    };
+    let misfires = seen.iter().filter(misfired).count();
+    let gains: Vec<f64> = pulses.iter().map(|p| p.gain).collect();
+    let spread = mean_and_deviation(&gains).map(|(mean, sd)| sd / mean);
+    let mut trend = Trend { spread, pairs: seen.len(), misfires, ..Trend::default() };
+
+    if misfires >= 2 && misfires as f64 >= MANY_MISFIRES * seen.len() as f64 {
+        let sentence = format!(
+            "{misfires} of {} pairs had no proper flash: check sync cable, battery and the flash's power saving, and wait until it is recharged.",
+            seen.len()
+        );
+        trend.advice.push(advice(AdviceCode::Misfires, sentence));
+    }
+    trend.advice.extend(photodiode(&seen.iter().map(|(p, f)| (*p, *f)).collect::<Vec<_>>()));
+    if let (Some(reference), Some(usual)) = (scale.reference, median(&gains))
+        && reference.source == super::ReferenceSource::Calibration
+        && (usual - 1.0).abs() > CHANGED
+    {
+        let sentence = format!(
+            "The photodiode measures {} {} light than at the flash calibration. If the flash's power was changed, that is taken into account; if the photodiode was moved, calibrate the flash again.",
+            percent(usual - 1.0),
+            if usual > 1.0 { "more" } else { "less" }
+        );
+        trend.advice.push(advice(AdviceCode::CalibrateAgain, sentence));
+    }
+    if pulses.len() >= FEWEST_PULSES {
+        explain_trend(&mut trend, &pulses);
+    }
+    trend.pulses = pulses;
+    trend
+}
+
+fn pulses(pairs: &[PairRecord], scale: &EnergyScale) -> Vec<TrendPulse> {
+    let mut pulses = vec![];
+    let mut before: Option<f64> = None;
+    for pair in pairs {
+        let Some(flash) = &pair.flash else { continue };
+        // Pulses of rejected pairs drain and heat the flash as well.
+        let at = flash.pulse().and_then(|sync| sync.at);
+        let rest = at.zip(before).map(|(at, before)| at - before).filter(|rest| *rest > 0.0);
+        if flash.pulses_on() + flash.pulses_off() > 0 {
+            before = flash.on.iter().chain(&flash.off).filter(|s| s.triggered).filter_map(|s| s.at).last();
+        }
+        let energy = flash.energy_counts().filter(|_| pair.verdict == Verdict::Accepted);
+        if let Some((energy_counts, FlashGain { value, deviation })) =
+            energy.and_then(|e| Some((e, scale.measured(e)?)))
+        {
+            pulses.push(TrendPulse { pair: pair.number, at, rest, energy_counts, gain: value, deviation });
+        }
+    }
+    pulses
+}
+
+fn photodiode(seen: &[(&PairRecord, &crate::pair::FlashRecord)]) -> Option<Advice> {
+    let lit: Vec<_> = seen.iter().filter_map(|(_, flash)| flash.pulse()).collect();
+    let clipped = lit.iter().filter(|sync| sync.clipped_samples > 0).count();
+    if clipped > 0 {
+        let sentence = format!(
+            "The photodiode was blinded in {clipped} of {} pulses, so that their energy is not known: move it away from the tube or give it a smaller resistor.",
+            lit.len()
+        );
+        return Some(advice(AdviceCode::PhotodiodeClips, sentence));
+    }
+    (!lit.is_empty() && lit.iter().all(|sync| sync.light().is_none())).then(|| {
+        let sentence = "The photodiode has seen no pulse yet, so that the flash's unsteadiness stays in the pairs: point it at the flash tube (`unlit flash test` shows what it sees).";
+        advice(AdviceCode::PhotodiodeBlind, sentence.into())
+    })
+}
+
+/// What a candidate stands for.
+#[derive(Clone, Copy)]
+enum Cause {
+    Recharge(f64),
+    Heat(f64),
+    Droop,
+}
+
+impl Cause {
+    fn group(self) -> usize {
+        match self {
+            Cause::Recharge(_) => 0,
+            Cause::Heat(_) => 1,
+            Cause::Droop => 2,
+        }
+    }
+}
+
+/// The causes that can be told from these times.
+fn causes(pulses: &[TrendPulse]) -> Vec<(Cause, Candidate)> {
+    let candidate = |cause: Cause, values: Vec<f64>| (cause, Candidate { group: cause.group(), values });
+    let n = pulses.len();
+    let mut out = vec![candidate(Cause::Droop, (0..n).map(|i| i as f64).collect())];
+    let times: Option<Vec<f64>> = pulses.iter().map(|p| p.at).collect();
+    let Some(times) = times else { return out };
+    // The first pulse's rest is not known, but long.
+    let rest = |p: &TrendPulse| p.rest.unwrap_or(f64::INFINITY);
+    for tau in RECHARGES {
+        out.push(candidate(Cause::Recharge(tau), pulses.iter().map(|p| (-rest(p) / tau).exp()).collect()));
+    }
+    for cooling in COOLINGS {
+        let mut heat = 0.0;
+        let values = (0..n)
+            .map(|i| {
+                if i > 0 {
+                    heat = (heat + 1.0) * (-(times[i] - times[i - 1]).max(0.0) / cooling).exp();
+                }
+                heat
+            })
+            .collect();
+        out.push(candidate(Cause::Heat(cooling), values));
+    }
+    out
+}
+
+fn explain_trend(trend: &mut Trend, pulses: &[TrendPulse]) {
+    let gains: Vec<f64> = pulses.iter().map(|p| p.gain).collect();
+    let (causes, candidates): (Vec<Cause>, Vec<Candidate>) = causes(pulses).into_iter().unzip();
+    let Fit { constant, chosen } = explain(&gains, &candidates, LEAST_F);
+    let rests: Vec<f64> = pulses.iter().filter_map(|p| p.rest).collect();
+    let mut explained = vec![constant; gains.len()];
+    for chosen in &chosen {
+        let values = &candidates[chosen.candidate].values;
+        explained.iter_mut().zip(values).for_each(|(e, v)| *e += chosen.coefficient * v);
+        let relative = chosen.coefficient / constant;
+        let last = values.last().copied().unwrap_or(0.0);
+        match causes[chosen.candidate] {
+            Cause::Recharge(tau) => {
+                let usual = median(&rests).unwrap_or(0.0);
+                let loss = relative * (-usual / tau).exp();
+                trend.recharge_loss = Some(loss);
+                let shortest = rests.iter().copied().fold(f64::INFINITY, f64::min);
+                let worst = relative * (-shortest / tau).exp();
+                if worst < -WORTH_WAITING {
+                    let wait = tau * (-relative / RECHARGED).ln();
+                    let longer = (wait - shortest).max(0.5);
+                    trend.advice.push(advice(AdviceCode::WaitLonger, format!(
+                        "After short rests the flash gives up to {} less light: wait {} longer, {} from pulse to pulse (the shortest was {shortest:.1} s).",
+                        percent(worst), seconds(longer), seconds(wait)
+                    )));
+                }
+            }
+            Cause::Heat(cooling) => {
+                let loss = relative * last;
+                trend.heat_loss = Some(loss);
+                if loss < -WORTH_COOLING {
+                    let pause = cooling * (loss.abs() / (0.5 * WORTH_COOLING)).ln();
+                    trend.advice.push(advice(AdviceCode::LowerPower, format!(
+                        "The flash is hot and gives {} less light than when it was cold: lower its power before the next session, or let it rest for {} now.",
+                        percent(loss), seconds(pause)
+                    )));
+                }
+            }
+            Cause::Droop => {
+                let loss = relative * last;
+                trend.droop = Some(loss);
+                if loss < -WORTH_COOLING {
+                    trend.advice.push(advice(AdviceCode::ChargeBattery, format!(
+                        "The flash has lost {} of its light since the first pair: charge or change its battery.",
+                        percent(loss)
+                    )));
+                }
+            }
+        }
+    }
+    let rest: Vec<f64> = gains.iter().zip(&explained).map(|(g, e)| g / e).collect();
+    if let Some((_, unexplained)) = mean_and_deviation(&rest)
+        && unexplained > UNSTEADY
+    {
+        trend.advice.push(advice(AdviceCode::Unsteady, format!(
+            "The flash varies by {} from pulse to pulse without a pattern: use a power at which it is steadier, and check the sync contact and the photodiode's mount.",
+            percent(unexplained)
+        )));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::sync;
+    use super::*;
+    use crate::pair::{FlashRecord, FrameRecord, Reason, Settings};
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn pair(number: u32, at: f64, energy: f64) -> PairRecord {
+        let frame = || FrameRecord {
+            file: "off.dng".into(),
+            original_name: String::new(),
+            bytes: 0,
+            blake3: String::new(),
+            settings: Settings::default(),
+            jpeg: None,
+        };
+        let mut on = sync(true, energy);
+        on.at = Some(at);
+        let mut off = sync(false, 20.0);
+        off.at = Some(at - 2.0);
+        PairRecord {
+            number,
+            name: format!("{number:04}"),
+            verdict: Verdict::Accepted,
+            reasons: vec![],
+            off: frame(),
+            on: frame(),
+            flash: Some(FlashRecord { off: vec![off], on: vec![on] }),
+        }
+    }
+
+    /// Pairs at the given times, whose flash gives `energy(number, rest, time)` with 0.3 % of jitter.
+    fn session(times: &[f64], energy: impl Fn(usize, f64, f64) -> f64) -> Vec<PairRecord> {
+        session_of(11, times, energy)
+    }
+
+    fn session_of(seed: u64, times: &[f64], energy: impl Fn(usize, f64, f64) -> f64) -> Vec<PairRecord> {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let mut before = f64::NEG_INFINITY;
+        times
+            .iter()
+            .enumerate()
+            .map(|(i, &t)| {
+                let gauss: f64 = StandardNormal.sample(&mut random);
+                let e = 1e5 * energy(i, t - before, t) * (1.0 + 0.003 * gauss);
+                before = t;
+                pair(i as u32 + 1, t, e)
+            })
+            .collect()
+    }
+
+    fn of(pairs: &[PairRecord]) -> Trend {
+        let records: Vec<FlashRecord> = pairs.iter().filter_map(|p| p.flash.clone()).collect();
+        trend(pairs, &EnergyScale::new(&records, None, None))
+    }
+
+    fn codes(trend: &Trend) -> Vec<AdviceCode> {
+        trend.advice.iter().map(|a| a.code).collect()
+    }
+
+    /// Irregular times: a photographer walks, hurries and pauses.
+    fn walk(n: usize) -> Vec<f64> {
+        let mut t = 1.79e9;
+        (0..n)
+            .map(|i| {
+                t +=
+                    3.0 + 4.0 * (0.5 + 0.5 * (2.7 * i as f64).sin()) + if i % 17 == 16 { 400.0 } else { 0.0 };
+                t
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_steady_flash_needs_no_advice() {
+        let trend = of(&session(&walk(40), |_, _, _| 1.0));
+        assert_eq!((codes(&trend), trend.pulses.len()), (vec![], 40));
+        assert!((trend.spread.unwrap() - 0.003).abs() < 0.001, "{:?}", trend.spread);
+        assert_eq!((trend.recharge_loss, trend.heat_loss, trend.droop), (None, None, None));
+        assert!((trend.pulses[5].rest.unwrap() - (walk(6)[5] - walk(5)[4])).abs() < 1e-3);
+    }
+
+    #[test]
+    fn chance_alone_gives_no_advice_and_hides_no_cause() {
+        let times = walk(36);
+        let (mut alarms, mut found) = (0, 0);
+        for seed in 0..200 {
+            alarms += codes(&of(&session_of(seed, &times, |_, _, _| 1.0))).len();
+            let short = of(&session_of(seed, &times, |_, rest, _| 1.0 - 0.25 * (-rest / 1.2).exp()));
+            found += usize::from(codes(&short) == [AdviceCode::WaitLonger]);
+        }
+        assert!(alarms <= 2 && found >= 190, "{alarms} false alarms, {found} of 200 found");
+    }
+
+    #[test]
+    fn a_capacitor_that_is_not_full_asks_for_longer_rests() {
+        let trend = of(&session(&walk(40), |_, rest, _| 1.0 - 0.3 * (-rest / 1.4).exp()));
+        assert_eq!(codes(&trend), [AdviceCode::WaitLonger], "{trend:?}");
+        // 0.3 exp(-t / 1.4) = 0.003 at 6.4 s; the shortest rest was 3 s.
+        let sentence = &trend.advice[0].sentence;
+        let total = ["6 s from", "7 s from", "8 s from"];
+        assert!(total.iter().any(|s| sentence.contains(s)), "{sentence}");
+    }
+
+    #[test]
+    fn heat_asks_for_less_power_and_a_flat_battery_for_charging() {
+        let times = walk(60);
+        let heat = |i: usize| (0..i).map(|j| (-(times[i] - times[j]) / 120.0).exp()).sum::<f64>();
+        let hot = of(&session(&times, |i, _, _| 1.0 - 0.004 * heat(i)));
+        assert_eq!(codes(&hot), [AdviceCode::LowerPower], "{hot:?}");
+        let flat = of(&session(&times, |i, _, _| 1.0 - 0.0006 * i as f64));
+        assert_eq!(codes(&flat), [AdviceCode::ChargeBattery], "{flat:?}");
+        assert!((flat.droop.unwrap() + 0.0354).abs() < 0.005, "{:?}", flat.droop);
+    }
+
+    #[test]
+    fn an_unsteady_flash_misfires_and_a_blind_or_dazzled_photodiode_are_told() {
+        let unsteady = of(&session(&walk(30), |i, _, _| 1.0 + 0.03 * (91.7 * (i * i) as f64).sin()));
+        assert_eq!(codes(&unsteady), [AdviceCode::Unsteady]);
+
+        let mut pairs = session(&walk(20), |_, _, _| 1.0);
+        for pair in &mut pairs[4..7] {
+            pair.verdict = Verdict::Rejected;
+            let sentence = String::new();
+            pair.reasons = vec![Reason { code: ReasonCode::Misfire, figure: 0.0, limit: 1.0, sentence }];
+        }
+        let trend = of(&pairs);
+        assert_eq!((codes(&trend), trend.misfires, trend.pulses.len()), (vec![AdviceCode::Misfires], 3, 17));
+
+        let mut pairs = session(&walk(5), |_, _, _| 1.0);
+        for pair in &mut pairs {
+            pair.flash.as_mut().unwrap().on[0].clipped_samples = 4;
+        }
+        assert_eq!(codes(&of(&pairs)), [AdviceCode::PhotodiodeClips]);
+        for pair in &mut pairs {
+            let on = &mut pair.flash.as_mut().unwrap().on[0];
+            (on.clipped_samples, on.lit_samples) = (0, 0);
+        }
+        assert_eq!(codes(&of(&pairs)), [AdviceCode::PhotodiodeBlind]);
+    }
+
+    #[test]
+    fn an_energy_far_from_the_calibrations_asks_whether_the_photodiode_was_moved() {
+        let pairs = session(&walk(5), |_, _, _| 1.0);
+        let records: Vec<FlashRecord> = pairs.iter().filter_map(|p| p.flash.clone()).collect();
+        let trend = trend(&pairs, &EnergyScale::new(&records, Some(1.3e5), None));
+        assert_eq!(codes(&trend), [AdviceCode::CalibrateAgain]);
+    }
+}

@@ -1,0 +1,120 @@
+//! The series that tells how steady the known light is, through everything that is real: the engine, libgphoto2 in its
+//! host, the serial driver on a pty, the firmware's core. Only the body, the card before it and the flash are simulated.
+
+use crate::camera::{launch, program};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+use unlit::capture::{Engine, Events, FlashKind, RepeatReport, RigSource};
+use unlit::pair::Limits;
+use unlit::pair::energy::Repeatability;
+use unlit::pipeline::energy::repeatability_file;
+use unlit::progress::Progress;
+use unlit::rig::camera::{Deadlines, HostedCamera, Target};
+use unlit::rig::flash::SerialFlash;
+use unlit::session::Session;
+use unlit::studio::camera::{BodyOptions, CameraServer};
+use unlit::studio::world::{Stage, World};
+use unlit::studio::{Board, BoardOptions};
+
+struct House {
+    _folder: TempDir,
+    session: Session,
+    engine: Engine,
+    board: Arc<Board>,
+    _server: CameraServer,
+}
+
+impl House {
+    /// The studio with its card 1 m before the lens.
+    fn new(seed: u64) -> Self {
+        assert!(program().is_file());
+        let board = Arc::new(Board::start(BoardOptions { seed, ..BoardOptions::default() }).unwrap());
+        let world = Arc::new(World::new(board.clone(), &Progress::silent()).unwrap());
+        world.set_stage(Stage::Card { distance_m: 1.0 }).unwrap();
+        let server = CameraServer::start_with(world, &BodyOptions::default()).unwrap();
+        let port = server.port();
+        let seconds = Duration::from_secs(10);
+        let deadlines = Deadlines { open: Duration::from_secs(20), shot: seconds, other: seconds };
+        let device = board.device().to_owned();
+        let rig = RigSource {
+            camera: Box::new(move |_| {
+                Ok(Box::new(HostedCamera::open_with(&launch(), Some(&port), deadlines, Target::Memory)?))
+            }),
+            cameras: Box::new(|| Ok(Vec::new())),
+            flash: Box::new(move || Ok(FlashKind::Controller(Box::new(SerialFlash::open(&device)?)))),
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let session = Session::create(&folder.path().join("card"), "card").unwrap();
+        let engine = Engine::new(rig, Limits::default(), Events::default());
+        Self { _folder: folder, session, engine, board, _server: server }
+    }
+
+    /// Energies that the flash truly gave, misfires left out.
+    fn energies(&self) -> Vec<f64> {
+        self.board.rises().iter().map(|rise| rise.energy).filter(|energy| *energy > 0.0).collect()
+    }
+
+    fn report(&self) -> RepeatReport {
+        serde_json::from_slice(&std::fs::read(repeatability_file(&self.session)).unwrap()).unwrap()
+    }
+}
+
+fn relative_deviation(values: &[f64]) -> f64 {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    (squares / (values.len() - 1) as f64).sqrt() / mean
+}
+
+#[test]
+fn forty_shots_spread_as_the_flash_does_and_far_less_divided_by_the_measured_energy() {
+    let seed: u64 = std::env::var("UNLIT_SEED").ok().and_then(|s| s.parse().ok()).unwrap_or(1);
+    let house = House::new(seed);
+    let began = Instant::now();
+    let result: Repeatability = house.engine.repeatability(&house.session, 40, &Progress::silent()).unwrap();
+    let took = began.elapsed();
+    let energies = house.energies();
+    let given = relative_deviation(&energies);
+    println!(
+        "seed {seed}: the flash gave {:.4} %; reported {:.4} % before and {:.4} % after division by the measured energy \
+         (sensor noise {:.4} %, measured energies {:.4} %); {took:.1?}",
+        100.0 * given,
+        100.0 * result.spread,
+        100.0 * result.corrected,
+        100.0 * result.sensor_noise,
+        100.0 * result.energy_spread,
+    );
+    assert_eq!((energies.len(), result.shots.len()), (40, 40));
+    assert!(house.board.rises().iter().all(|rise| rise.ordered));
+    assert!((result.spread / given - 1.0).abs() < 0.03, "{} reported for {given}", result.spread);
+    assert!(result.corrected < 0.0008, "{}", result.corrected);
+    // Shot by shot, the light is what the flash gave.
+    let ratios: Vec<f64> = result.shots.iter().zip(&energies).map(|(shot, e)| shot.light[1] / e).collect();
+    assert!(relative_deviation(&ratios) < 0.0005, "{ratios:?}");
+
+    let report = house.report();
+    assert_eq!((report.left_out, &report.result), (0, &result));
+    let text = std::fs::read_to_string(repeatability_file(&house.session)).unwrap();
+    let stored: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(
+        (stored["spread"].as_f64(), stored["corrected"].as_f64()),
+        (Some(result.spread), Some(result.corrected))
+    );
+    assert!(house.session.pairs().unwrap().is_empty(), "shots of a series are no pairs");
+}
+
+#[test]
+fn a_shot_that_misfires_is_told_left_out_and_taken_again_and_a_dead_flash_ends_the_series() {
+    let house = House::new(5);
+    house.board.misfire(2);
+    let result = house.engine.repeatability(&house.session, 8, &Progress::silent()).unwrap();
+    assert_eq!((result.shots.len(), house.report().left_out), (8, 2));
+    assert_eq!(house.energies().len(), 8);
+
+    house.board.misfire(u32::MAX);
+    let error = house.engine.repeatability(&house.session, 8, &Progress::silent()).unwrap_err();
+    assert_eq!(error.code(), "series_broken");
+    assert!(error.to_string().contains("photodiode saw no pulse"), "{error}");
+    let error = house.engine.repeatability(&house.session, 7, &Progress::silent()).unwrap_err();
+    assert_eq!(error.code(), "series_says_nothing", "{error}");
+}
