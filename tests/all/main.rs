@@ -28,5 +28,6 @@ mod session;
 mod studio_camera;
 mod studio_usb;
 mod studio_world;
+mod tired_flash;
 mod usb_bench;
 mod wall;

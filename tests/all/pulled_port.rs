@@ -14,11 +14,12 @@ use tempfile::TempDir;
 use unlit::capture::{CaptureError, Engine, Events, FlashKind, RigSource, Topic};
 use unlit::pair::{Limits, PairRecord, Verdict};
 use unlit::progress::Progress;
+use unlit::rig::Flash;
 use unlit::rig::camera::{Deadlines, HostedCamera, Target};
 use unlit::rig::flash::SerialFlash;
 use unlit::session::Session;
 use unlit::studio::camera::CameraServer;
-use unlit::studio::{Board, BoardOptions};
+use unlit::studio::{Board, BoardOptions, SyncContact};
 
 /// Rigs that are troubled at the same time, and how often each.
 const HOUSES: u64 = 4;
@@ -208,4 +209,78 @@ fn pulling_the_port_in_a_hundred_pairs_never_fires_a_disarmed_flash_nor_passes_a
     assert_eq!(u64::from(all.pulls()), HOUSES * u64::from(PULLS));
     // Were the pulls without effect, nothing would have been tested.
     assert!(all.accepted_at_once < all.pulls() / 2, "{all:?}");
+}
+
+const TTL: Duration = Duration::from_secs(10);
+
+/// A board, greeted and armed.
+fn armed() -> (Board, SerialFlash) {
+    let board =
+        Board::start(BoardOptions { recycle: Duration::from_millis(20), ..BoardOptions::default() }).unwrap();
+    let mut flash = SerialFlash::open(board.device()).unwrap();
+    flash.arm(1, TTL).unwrap();
+    (board, flash)
+}
+
+/// Polls until the driver has found the board again.
+fn found_again(flash: &mut SerialFlash) {
+    let deadline = Instant::now() + Duration::from_secs(10);
+    while !flash.status().ready {
+        assert!(Instant::now() < deadline, "{:?}", flash.status());
+        std::thread::yield_now();
+    }
+}
+
+#[test]
+fn a_board_that_loses_its_power_with_the_port_forgets_that_it_was_armed() {
+    let (board, mut flash) = armed();
+    board.unplug(true).unwrap();
+    assert!(!board.device().exists(), "the port's name goes with the port");
+    assert_eq!(board.close(), 0.0, "without power nothing fires");
+    board.plug_in().unwrap();
+    assert_eq!(board.close(), 0.0, "a board that has just started has a closed gate");
+    found_again(&mut flash);
+    let error = flash.syncs(Duration::from_secs(2)).unwrap_err();
+    assert!(error.to_string().contains("restarted"), "{error}");
+    flash.arm(2, TTL).unwrap();
+    assert!(board.close() > 0.9);
+    assert_eq!(board.rises().iter().map(|rise| (rise.ordered, rise.tag)).collect::<Vec<_>>(), [(true, 2)]);
+}
+
+#[test]
+fn a_board_with_power_of_its_own_fires_while_its_order_holds_and_goes_safe_by_the_hosts_silence() {
+    let (board, flash) = armed();
+    board.unplug(false).unwrap();
+    assert!(board.close() > 0.9, "armed a moment ago");
+    drop(flash);
+
+    let (board, mut flash) = armed();
+    let silent_since = Instant::now();
+    board.unplug(false).unwrap();
+    // The last word of the host was a ping at most.
+    while silent_since.elapsed() < Duration::from_millis(1600) {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert_eq!(board.close(), 0.0, "nobody has spoken for longer than the board waits");
+    board.plug_in().unwrap();
+    found_again(&mut flash);
+    assert_eq!(board.close(), 0.0, "its host greets it, and that closes the gate too");
+    flash.arm(2, TTL).unwrap();
+    assert!(board.close() > 0.9);
+    assert!(board.rises().iter().all(|rise| rise.ordered));
+}
+
+#[test]
+fn a_pair_that_finds_no_controller_says_so_and_the_next_one_finds_it_again() {
+    let house = House::new();
+    house.undisturbed();
+    house.board.unplug(true).unwrap();
+    let error = house.pair().unwrap_err();
+    assert_eq!(error.code(), "flash_not_opened");
+    let words = error.to_string();
+    assert!(words.contains("plugged in") && words.contains("usb-unlit"), "{words}");
+    assert!(!house.engine.devices().flash.ready);
+    house.board.plug_in().unwrap();
+    house.undisturbed();
+    house.check();
 }
