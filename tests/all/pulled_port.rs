@@ -8,7 +8,7 @@ use crate::wall::{Exposures, Wall};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 use unlit::capture::{CaptureError, Engine, Events, FlashKind, RigSource, Topic};
@@ -62,7 +62,11 @@ impl House {
     }
 
     fn pair(&self) -> Result<PairRecord, CaptureError> {
-        self.engine.shoot_pair(&self.session, None, &Progress::silent())
+        self.pair_telling(&Progress::silent())
+    }
+
+    fn pair_telling(&self, progress: &Progress) -> Result<PairRecord, CaptureError> {
+        self.engine.shoot_pair(&self.session, None, progress)
     }
 
     fn undisturbed(&self) -> Duration {
@@ -123,6 +127,8 @@ struct Tally {
     rejected: BTreeMap<String, u32>,
     failed: BTreeMap<String, u32>,
     longest: Duration,
+    /// What the pair was at when the port was pulled.
+    hit: BTreeMap<String, u32>,
 }
 
 impl Tally {
@@ -137,7 +143,11 @@ impl Tally {
         self.accepted_at_once += other.accepted_at_once;
         self.accepted_after_recovery += other.accepted_after_recovery;
         self.longest = self.longest.max(other.longest);
-        for (sum, more) in [(&mut self.rejected, other.rejected), (&mut self.failed, other.failed)] {
+        for (sum, more) in [
+            (&mut self.rejected, other.rejected),
+            (&mut self.failed, other.failed),
+            (&mut self.hit, other.hit),
+        ] {
             for (key, count) in more {
                 *sum.entry(key).or_default() += count;
             }
@@ -150,22 +160,28 @@ fn trouble(seed: u64) -> Tally {
     let house = House::new();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     house.undisturbed(); // the first one opens the devices
-    let usual = (0..3).map(|_| house.undisturbed()).sum::<Duration>() / 3;
+    let mut usual = (0..3).map(|_| house.undisturbed()).sum::<Duration>() / 3;
     let mut tally = Tally::default();
     for _ in 0..PULLS {
         let pull = Pull::draw(&mut random, usual);
         let (_, mut heard) = house.events.listen();
         let began = Instant::now();
+        let stage = Arc::new(Mutex::new("nothing yet".to_owned()));
+        let progress = {
+            let stage = stage.clone();
+            Progress::new(move |report| stage.lock().unwrap().clone_from(&report.stage))
+        };
         let outcome = std::thread::scope(|scope| {
             scope.spawn(|| {
                 std::thread::sleep(pull.after);
+                *tally.hit.entry(stage.lock().unwrap().clone()).or_default() += 1;
                 house.board.unplug(pull.power).unwrap();
                 if let Some(back) = pull.back {
                     std::thread::sleep(back);
                     house.board.plug_in().unwrap();
                 }
             });
-            house.pair()
+            house.pair_telling(&progress)
         });
         tally.longest = tally.longest.max(began.elapsed());
         if pull.back.is_none() {
@@ -179,7 +195,11 @@ fn trouble(seed: u64) -> Tally {
                 *tally.rejected.entry(codes.join("+")).or_default() += 1;
             }
             Ok(_) if recovered => tally.accepted_after_recovery += 1,
-            Ok(_) => tally.accepted_at_once += 1,
+            Ok(_) => {
+                // Other work on the machine comes and goes; the moments follow.
+                usual = (usual * 3 + began.elapsed()) / 4;
+                tally.accepted_at_once += 1;
+            }
             Err(error @ (CaptureError::Flash(_) | CaptureError::NoFlash)) => {
                 let words = error.to_string();
                 assert!(words.contains("plug"), "{words:?} does not say what to do");
@@ -208,7 +228,10 @@ fn pulling_the_port_in_a_hundred_pairs_never_fires_a_disarmed_flash_nor_passes_a
     println!("seed {seed}, {} pulls in {:.1?}: {all:?}", all.pulls(), began.elapsed());
     assert_eq!(u64::from(all.pulls()), HOUSES * u64::from(PULLS));
     // Were the pulls without effect, nothing would have been tested.
-    assert!(all.accepted_at_once < all.pulls() / 2, "{all:?}");
+    assert!(all.accepted_at_once < 3 * all.pulls() / 4, "{all:?}");
+    for stage in ["Taking the frame without flash", "Taking the frame with flash"] {
+        assert!(all.hit.get(stage).is_some_and(|hits| *hits >= 5), "{stage} was hardly hit: {all:?}");
+    }
 }
 
 const TTL: Duration = Duration::from_secs(10);

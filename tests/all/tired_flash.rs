@@ -100,7 +100,7 @@ fn most(values: &[f64]) -> f64 {
 }
 
 fn gets(lamp: LampOptions, advice: &[AdviceCode]) -> Trend {
-    let (pairs, given) = pulses(lamp, 45);
+    let (pairs, given) = pulses(lamp, 40);
     divides_out(&pairs, &given);
     let trend = told(&pairs);
     let codes: Vec<AdviceCode> = trend.advice.iter().map(|advice| advice.code).collect();
@@ -115,24 +115,24 @@ fn a_steady_flash_gets_no_advice() {
 
 #[test]
 fn short_rests_are_told() {
-    let recharge = Recharge { lacking: 0.3, tau: Duration::from_millis(1500) };
+    let recharge = Recharge { lacking: 0.3, tau: Duration::from_secs(5) };
     let trend =
         gets(LampOptions { recharge: Some(recharge), ..LampOptions::default() }, &[AdviceCode::WaitLonger]);
-    // After 3 s of rest the lamp lacks 0.3 exp(-2) = 4 %.
-    assert!(trend.recharge_loss.is_some_and(|loss| (-0.04..-0.001).contains(&loss)), "{trend:?}");
+    // After 5 s of rest the lamp lacks 0.3 exp(-1) = 11 %; on a busy machine rests become longer.
+    assert!(trend.recharge_loss.is_some_and(|loss| (-0.15..-0.001).contains(&loss)), "{trend:?}");
 }
 
 #[test]
 fn a_hot_tube_is_told() {
-    let heat = Heat { cooling: Duration::from_secs(120), loss: 0.004, limit: 1000.0 };
+    let heat = Heat { cooling: Duration::from_secs(120), loss: 0.008, limit: 1000.0 };
     let trend = gets(LampOptions { heat: Some(heat), ..LampOptions::default() }, &[AdviceCode::LowerPower]);
-    assert!(trend.heat_loss.is_some_and(|loss| (-0.12..-0.02).contains(&loss)), "{trend:?}");
+    assert!(trend.heat_loss.is_some_and(|loss| (-0.25..-0.01).contains(&loss)), "{trend:?}");
 }
 
 #[test]
 fn a_battery_that_runs_down_is_told() {
     let trend = gets(LampOptions { droop: 0.0008, ..LampOptions::default() }, &[AdviceCode::ChargeBattery]);
-    assert!(trend.droop.is_some_and(|droop| (droop + 0.0352).abs() < 0.006), "{trend:?}");
+    assert!(trend.droop.is_some_and(|droop| (droop + 0.0312).abs() < 0.006), "{trend:?}");
 }
 
 #[test]
