@@ -5,9 +5,10 @@ use crate::camera::{launch, program};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
-use unlit::capture::{Engine, Events, FlashKind, RepeatReport, RigSource, repeat_report_file};
+use unlit::capture::{Engine, Events, FlashKind, RepeatReport, RigSource};
 use unlit::pair::Limits;
 use unlit::pair::energy::Repeatability;
+use unlit::pipeline::energy::repeatability_file;
 use unlit::progress::Progress;
 use unlit::rig::camera::{Deadlines, HostedCamera, Target};
 use unlit::rig::flash::SerialFlash;
@@ -55,7 +56,7 @@ impl House {
     }
 
     fn report(&self) -> RepeatReport {
-        serde_json::from_slice(&std::fs::read(repeat_report_file(&self.session)).unwrap()).unwrap()
+        serde_json::from_slice(&std::fs::read(repeatability_file(&self.session)).unwrap()).unwrap()
     }
 }
 
@@ -93,7 +94,7 @@ fn forty_shots_spread_as_the_flash_does_and_far_less_divided_by_the_measured_ene
 
     let report = house.report();
     assert_eq!((report.left_out, &report.result), (0, &result));
-    let text = std::fs::read_to_string(repeat_report_file(&house.session)).unwrap();
+    let text = std::fs::read_to_string(repeatability_file(&house.session)).unwrap();
     let stored: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(
         (stored["spread"].as_f64(), stored["corrected"].as_f64()),
