@@ -32,5 +32,6 @@ mod session;
 mod studio_camera;
 mod studio_usb;
 mod studio_world;
+mod tired_flash;
 mod usb_bench;
 mod wall;
