@@ -5,8 +5,9 @@ use super::avr::{Desk, Report, Sim, built, mean_and_sd, rises};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
+use unlit::pair::FlashSync;
 use unlit::rig::flash::SerialFlash;
-use unlit::rig::{Flash, FlashError, FlashShot};
+use unlit::rig::{Flash, FlashError};
 
 const TTL: Duration = Duration::from_secs(5);
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -23,7 +24,7 @@ fn board() -> Sim {
     sim
 }
 
-fn frame(sim: &mut Sim, flash: &mut SerialFlash) -> FlashShot {
+fn frame(sim: &mut Sim, flash: &mut SerialFlash) -> FlashSync {
     sim.command("contact 0=1 8000=0");
     let shots = flash.syncs(PATIENCE).unwrap();
     assert_eq!(shots.len(), 1, "{shots:?}");
@@ -40,12 +41,12 @@ fn the_driver_takes_dark_and_lit_frames_with_the_real_program() {
     for tag in 1..=12 {
         flash.disarm().unwrap();
         let dark = frame(&mut sim, &mut flash);
-        assert_eq!((dark.triggered, dark.energy_counts), (false, None));
+        assert_eq!((dark.triggered, dark.light()), (false, None));
         flash.arm(tag, TTL).unwrap();
         let shot = frame(&mut sim, &mut flash);
         assert_eq!((shot.triggered, shot.tag), (true, tag));
         lit += 1;
-        measured.push(shot.energy_counts.unwrap());
+        measured.push(shot.light().unwrap());
     }
     sim.command("pace step");
     let reports = sim.take();
