@@ -118,3 +118,18 @@ fn a_shot_that_misfires_is_told_left_out_and_taken_again_and_a_dead_flash_ends_t
     let error = house.engine.repeatability(&house.session, 7, &Progress::silent()).unwrap_err();
     assert_eq!(error.code(), "series_says_nothing", "{error}");
 }
+
+#[test]
+fn a_series_survives_a_controller_that_loses_its_power_for_a_moment() {
+    let house = House::new(6);
+    let board = house.board.clone();
+    let progress = Progress::new(move |report| {
+        if report.stage.starts_with("Shot 4 of") && board.device().exists() {
+            board.unplug(true).unwrap();
+            board.plug_in().unwrap();
+        }
+    });
+    let result = house.engine.repeatability(&house.session, 8, &progress).unwrap();
+    assert_eq!(result.shots.iter().map(|shot| shot.number).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6, 7, 8]);
+    assert!(house.board.rises().iter().all(|rise| rise.ordered));
+}
