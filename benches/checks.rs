@@ -1,4 +1,4 @@
-//! What the checks of one pair of 50 MP cost after its files are decoded: `cargo bench --bench checks`.
+//! What the checks of one pair of 50 MP cost after its files are decoded: `cargo bench --profile dev --bench checks`.
 //!
 //! CPU seconds (all threads) from `/proc/self/stat`, peak memory from `/proc/self/status`. The frames are
 //! synthetic, 8688 x 5792 sites with structure and noise; decoding is measured elsewhere.

@@ -26,11 +26,12 @@
  *   < LINE                   the board said (uart stdio)
  *
  * Of simavr 1.6 one must know: a pin's level lasts only with SET_EXTERNAL, because every write to the port puts the
- * pull-ups back; the ADC's result is what its pin has when the result is read; a reset clears RAM and forgets all
+ * pull-ups back, and an unchanged one is not written again after a reset has cleared PIND; the ADC's result is what its pin has when the result is read; a reset clears RAM and forgets all
  * cycle timers; an interrupt is served between instructions but costs no response cycles, of which the chip takes
  * four and, for its synchroniser, up to two; its UART counts 11 bits a byte, so the line is 8 % slower than a real
  * one; and its EEPROM writes last no time. */
 #define _GNU_SOURCE
+#include "hex.h"
 #include "light.h"
 
 #include <avr_adc.h>
@@ -40,7 +41,6 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <sim_avr.h>
-#include <sim_hex.h>
 #include <sim_time.h>
 #include <stdarg.h>
 #include <stdbool.h>
@@ -52,7 +52,7 @@
 #include <unistd.h>
 
 enum { HZ = 16000000, BYTE_CYCLES = 1504, SYNC_PIN = 2, TRIGGER_PIN = 4, READY_PIN = 7, ARMED_PIN = 5 };
-enum { VOLT_MV = 5000, UNUSED = 0xC5, RAM_START = 0x100, BOOT_START = 0x7E00 };
+enum { VOLT_MV = 5000, UNUSED = 0xC5, RAM_START = 0x100, PIND = 0x29 };
 
 static avr_t *avr;
 static FILE *out;
@@ -109,6 +109,7 @@ static void drive_pins(void)
     avr_ioport_external_t levels = { .name = 'D', .mask = 1u << SYNC_PIN | 1u << READY_PIN };
     levels.value = (contact_closed ? 0u : 1u << SYNC_PIN) | (ready ? 1u << READY_PIN : 0u);
     avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('D'), &levels);
+    avr->data[PIND] = (uint8_t)((avr->data[PIND] & ~levels.mask) | levels.value);
     avr_raise_irq(pin('D', SYNC_PIN), !contact_closed);
     avr_raise_irq(pin('D', READY_PIN), ready);
 }
@@ -512,20 +513,14 @@ static void read_commands(void)
     }
 }
 
-static void load(const char *path)
+/* Returns where the program begins. */
+static avr_flashaddr_t load(const char *path)
 {
-    ihex_chunk_p chunks = NULL;
-    const int count = read_ihex_chunks(path, &chunks);
-    if (count <= 0) {
-        die("the program is not there, or no Intel hex file");
+    size_t begin = 0;
+    if (!hex_load(path, avr->flash, avr->flashend + 1u, &begin)) {
+        die("the program cannot be loaded");
     }
-    for (int i = 0; i < count; i++) {
-        if (chunks[i].baseaddr + chunks[i].size > avr->flashend + 1u) {
-            die("the program does not fit the flash memory");
-        }
-        memcpy(avr->flash + chunks[i].baseaddr, chunks[i].data, chunks[i].size);
-    }
-    free_ihex_chunks(chunks);
+    return (avr_flashaddr_t)begin;
 }
 
 int main(int count, char **arguments)
@@ -555,8 +550,7 @@ int main(int count, char **arguments)
         load(arguments[1]);
     }
     if (count == 3) {
-        load(arguments[2]);
-        avr->reset_pc = avr->pc = BOOT_START;
+        avr->reset_pc = avr->pc = load(arguments[2]); /* as the fuse BOOTRST has it */
     }
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);

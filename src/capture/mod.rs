@@ -30,4 +30,4 @@ pub use find::ExposureWish;
 pub use live::LivePicture;
 pub use machine::{Effect, End, Event as PairEvent, Frame, State, step};
 pub use place::{CalibrationShot, PlaceError, calibration_frames, calibration_shots};
-pub use repeat::{RepeatReport, repeat_report_file, words_on_repeatability};
+pub use repeat::{RepeatReport, words_on_repeatability};

@@ -15,6 +15,7 @@ use crate::pair::energy::{FEWEST_SHOTS, RepeatError, RepeatShot, Repeatability, 
 use crate::pair::{FlashRecord, Reason, ReasonCode, Settings, Window, proof};
 use crate::photometry::saturation::SaturationTable;
 use crate::photometry::{KnownMosaic, Mosaic, NoiseModel, isolate};
+use crate::pipeline::energy::repeatability_file;
 use crate::pipeline::saturation;
 use crate::progress::Progress;
 use crate::raster::Image;
@@ -23,7 +24,6 @@ use crate::session::{Event, Session, SessionError, store, utc_now};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::HashSet;
-use std::path::PathBuf;
 
 /// Tags of the series at the flash controller begin here; pairs count from 1 up.
 const TAGS: u32 = 0x8000_0000;
@@ -32,7 +32,7 @@ const MOST_FAILURES_IN_A_ROW: u32 = 3;
 /// Where the light is averaged when the session has no region.
 const MIDDLE: Window = Window { x: 0.25, y: 0.25, width: 0.5, height: 0.5 };
 
-/// `calibration/repeatability.json`.
+/// `calibration/repeatability.json` ([`repeatability_file`]).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RepeatReport {
     /// When the series was taken, UTC.
@@ -46,11 +46,6 @@ pub struct RepeatReport {
     /// What the series says.
     #[serde(flatten)]
     pub result: Repeatability,
-}
-
-/// Where a session keeps its [`RepeatReport`].
-pub fn repeat_report_file(session: &Session) -> PathBuf {
-    session.calibration_dir().join("repeatability.json")
 }
 
 /// A shot of the series, or why it does not count.
@@ -277,7 +272,7 @@ fn mean_light(known: &KnownMosaic) -> Option<([f64; 3], [f64; 3])> {
 }
 
 fn keep(session: &Session, report: &RepeatReport) -> Result<(), CaptureError> {
-    let path = repeat_report_file(session);
+    let path = repeatability_file(session);
     let json = serde_json::to_vec_pretty(report)
         .map_err(|e| SessionError::Damaged { path: path.clone(), why: e.to_string() })?;
     store::write_atomic(&path, &json).map_err(|source| PlaceError::Disk { path, source })?;

@@ -2,7 +2,7 @@
 
 use crate::pair::energy::{AdviceCode, ReferenceSource, Repeatability};
 use crate::pipeline::energy::FlashAccount;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 /// One measured pulse of an accepted pair.
@@ -130,5 +130,20 @@ impl From<FlashAccount> for FlashAccountBody {
                 .collect(),
             repeatability: repeatability.map(Into::into),
         }
+    }
+}
+
+/// A repeatability run.
+#[derive(Deserialize, ToSchema)]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct RepeatabilityOrder {
+    /// How many shots, each a frame without flash and one with it: 8 to 1000.
+    pub(super) shots: usize,
+}
+
+impl Default for RepeatabilityOrder {
+    /// As many as the thesis took.
+    fn default() -> Self {
+        Self { shots: 40 }
     }
 }

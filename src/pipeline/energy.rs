@@ -4,8 +4,8 @@
 use crate::calibration::FlashCalibration;
 use crate::pair::energy::{EnergyScale, Repeatability, Trend, trend};
 use crate::pair::{FlashRecord, PairRecord, Verdict};
-use crate::session::{Session, SessionError, store};
-use std::path::{Path, PathBuf};
+use crate::session::{Session, SessionError};
+use std::path::PathBuf;
 
 /// Why a session's energies cannot be told.
 #[derive(Debug, thiserror::Error)]
@@ -17,7 +17,7 @@ pub enum EnergyError {
     #[error(transparent)]
     Flash(#[from] super::flash::FlashError),
     /// The file system refused.
-    #[error("cannot access {}: {source}; check that the disk is there, writable and not full", path.display())]
+    #[error("cannot read {}: {source}; check that it may be read", path.display())]
     Io {
         /// The file.
         path: PathBuf,
@@ -66,33 +66,19 @@ pub(super) fn scale(
     EnergyScale::new(records.iter().copied(), reference, repeatability.map(Repeatability::agreement))
 }
 
-/// Where the repeatability run is kept.
-fn file(session: &Session) -> PathBuf {
+/// Where the last repeatability run is kept.
+pub fn repeatability_file(session: &Session) -> PathBuf {
     session.calibration_dir().join("repeatability.json")
-}
-
-fn io(path: &Path) -> impl FnOnce(std::io::Error) -> EnergyError + '_ {
-    move |source| EnergyError::Io { path: path.to_owned(), source }
 }
 
 /// The session's last repeatability run, if there was one.
 pub fn repeatability(session: &Session) -> Result<Option<Repeatability>, EnergyError> {
-    let path = file(session);
+    let path = repeatability_file(session);
     match std::fs::read(&path) {
         Ok(bytes) => serde_json::from_slice(&bytes)
             .map(Some)
             .map_err(|e| EnergyError::Damaged { path, reason: e.to_string() }),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(io(&path)(source)),
+        Err(source) => Err(EnergyError::Io { path, source }),
     }
-}
-
-/// Keeps a repeatability run as the session's last.
-pub fn keep_repeatability(session: &Session, run: &Repeatability) -> Result<(), EnergyError> {
-    let path = file(session);
-    let bytes = serde_json::to_vec_pretty(run)
-        .map_err(|e| EnergyError::Damaged { path: path.clone(), reason: e.to_string() })?;
-    let folder = session.calibration_dir();
-    std::fs::create_dir_all(&folder).map_err(io(&folder))?;
-    store::write_atomic(&path, &bytes).map_err(io(&path))
 }

@@ -69,7 +69,7 @@ pub enum ImportError {
         on: PathBuf,
     },
     /// The file of limits is not one.
-    #[error("{path} holds no limits of the checks: {source}; see `unlit import pairs --help`")]
+    #[error("{path} holds no limits of the checks: {source}; docs/checks.md lists them")]
     Limits {
         /// The file.
         path: PathBuf,

@@ -95,7 +95,7 @@ fn a_rejected_pair_is_stored_with_its_reasons_and_moves_nobody_on() {
     for (trouble, code) in [
         (Trouble::Misfire, ReasonCode::Misfire),
         (Trouble::NoContact, ReasonCode::Misfire),
-        (Trouble::FiresInTheDark, ReasonCode::Misfire),
+        (Trouble::FiresInTheDark, ReasonCode::NotDark),
         (Trouble::Overexposed, ReasonCode::Overexposed),
         (Trouble::CutsFile(0), ReasonCode::Truncated),
         (Trouble::CutsFile(1), ReasonCode::Truncated),
@@ -174,13 +174,11 @@ fn without_any_flash_pairs_are_refused_with_a_sentence() {
     assert!(shoot.session.pairs().unwrap().is_empty());
 }
 
-#[test]
-fn a_flash_switched_by_hand_is_asked_for_twice() {
-    let room = Room::default();
-    let shoot = shoot_with(room.rig_with(|| FlashKind::Manual));
-    let pair = std::thread::scope(|scope| {
+/// A pair whose operator is asked to switch the flash off and on, and switches it as given.
+fn by_hand(room: &Room, shoot: &Shoot, switched: [bool; 2]) -> PairRecord {
+    std::thread::scope(|scope| {
         let shooting = scope.spawn(|| shoot.pair());
-        for (word, on) in [("off", false), ("on", true)] {
+        for (word, on) in ["off", "on"].into_iter().zip(switched) {
             let end = Instant::now() + Duration::from_secs(10);
             while !shoot.engine.prompt().is_some_and(|p| p.contains(&format!("flash {word}"))) {
                 assert!(Instant::now() < end, "was not asked to switch the flash {word}");
@@ -190,10 +188,30 @@ fn a_flash_switched_by_hand_is_asked_for_twice() {
             assert!(shoot.engine.confirm());
         }
         shooting.join().unwrap().unwrap()
-    });
+    })
+}
+
+#[test]
+fn a_flash_switched_by_hand_is_asked_for_twice() {
+    let room = Room::default();
+    let shoot = shoot_with(room.rig_with(|| FlashKind::Manual));
+    let pair = by_hand(&room, &shoot, [false, true]);
     assert_eq!(pair.verdict, Verdict::Accepted, "{:?}", pair.reasons);
     assert_eq!(pair.flash, None);
     assert!(!shoot.engine.confirm(), "nothing is asked any more");
+}
+
+#[test]
+fn an_operator_who_forgets_a_switch_is_found_out_by_the_images_alone() {
+    for (switched, words) in
+        [([false, false], "did not fire"), ([true, true], "did not fire"), ([true, false], "look swapped")]
+    {
+        let room = Room::default();
+        let shoot = shoot_with(room.rig_with(|| FlashKind::Manual));
+        let pair = by_hand(&room, &shoot, switched);
+        assert_eq!(codes(&pair), [ReasonCode::Misfire], "{switched:?}: {:?}", pair.reasons);
+        assert!(pair.reasons[0].sentence.contains(words), "{switched:?}: {}", pair.reasons[0].sentence);
+    }
 }
 
 #[test]

@@ -5,9 +5,10 @@ use crate::camera::{launch, program};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
-use unlit::capture::{Engine, Events, FlashKind, RepeatReport, RigSource, repeat_report_file};
+use unlit::capture::{Engine, Events, FlashKind, RepeatReport, RigSource};
 use unlit::pair::Limits;
 use unlit::pair::energy::Repeatability;
+use unlit::pipeline::energy::repeatability_file;
 use unlit::progress::Progress;
 use unlit::rig::camera::{Deadlines, HostedCamera, Target};
 use unlit::rig::flash::SerialFlash;
@@ -55,7 +56,7 @@ impl House {
     }
 
     fn report(&self) -> RepeatReport {
-        serde_json::from_slice(&std::fs::read(repeat_report_file(&self.session)).unwrap()).unwrap()
+        serde_json::from_slice(&std::fs::read(repeatability_file(&self.session)).unwrap()).unwrap()
     }
 }
 
@@ -93,7 +94,7 @@ fn forty_shots_spread_as_the_flash_does_and_far_less_divided_by_the_measured_ene
 
     let report = house.report();
     assert_eq!((report.left_out, &report.result), (0, &result));
-    let text = std::fs::read_to_string(repeat_report_file(&house.session)).unwrap();
+    let text = std::fs::read_to_string(repeatability_file(&house.session)).unwrap();
     let stored: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(
         (stored["spread"].as_f64(), stored["corrected"].as_f64()),
@@ -116,4 +117,19 @@ fn a_shot_that_misfires_is_told_left_out_and_taken_again_and_a_dead_flash_ends_t
     assert!(error.to_string().contains("photodiode saw no pulse"), "{error}");
     let error = house.engine.repeatability(&house.session, 7, &Progress::silent()).unwrap_err();
     assert_eq!(error.code(), "series_says_nothing", "{error}");
+}
+
+#[test]
+fn a_series_survives_a_controller_that_loses_its_power_for_a_moment() {
+    let house = House::new(6);
+    let board = house.board.clone();
+    let progress = Progress::new(move |report| {
+        if report.stage.starts_with("Shot 4 of") && board.device().exists() {
+            board.unplug(true).unwrap();
+            board.plug_in().unwrap();
+        }
+    });
+    let result = house.engine.repeatability(&house.session, 8, &progress).unwrap();
+    assert_eq!(result.shots.iter().map(|shot| shot.number).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6, 7, 8]);
+    assert!(house.board.rises().iter().all(|rise| rise.ordered));
 }

@@ -23,7 +23,7 @@ export interface Live {
 }
 
 /** Jobs that use camera and flash, which only one can at a time. */
-const RIG = ["pair", "flash_shots", "find_exposure"];
+const RIG = ["pair", "flash_shots", "find_exposure", "repeatability"];
 
 const isActive = (job: Job) => job.state === "running" || job.state === "queued";
 

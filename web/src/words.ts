@@ -146,6 +146,7 @@ const kinds: Record<string, string> = {
   import_scene: "Importing the scene",
   process: "Making the model",
   find_exposure: "Finding the exposure",
+  repeatability: "Measuring how steady the flash is",
 };
 
 export function jobTitle(job: Job): string {

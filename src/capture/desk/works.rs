@@ -5,12 +5,17 @@ use super::{Desk, FlashCard, SceneFiles};
 use crate::capture::events::Topic;
 use crate::capture::find::ExposureWish;
 use crate::capture::place::{calibration_shots, name_of};
+use crate::capture::repeat::words_on_repeatability;
 use crate::jobs::{Job, Lane, Order, Work};
+use crate::pair::energy::FEWEST_SHOTS;
 use crate::pair::{Exposure, Plan, Verdict};
 use crate::progress::Progress;
 use crate::session::Session;
 use serde_json::{Value, json};
 use std::sync::Arc;
+
+/// More would take a day.
+const MOST_SHOTS: usize = 1000;
 
 impl Desk {
     /// Takes the next pair of the named, current or day's session.
@@ -66,6 +71,29 @@ impl Desk {
         self.enqueue("flash_shots", &session.clone(), Lane::Rig, false, move |progress| {
             let shot = desk.0.engine.shoot_card(&session, distance_m, progress)?;
             Ok(json!({ "session": name_of(&session), "name": shot.name, "reasons": shot.reasons }))
+        })
+    }
+
+    /// Shoots the scene `shots` times with nothing changed, and tells how steady the known light is.
+    pub fn take_repeatability(&self, session: &str, shots: usize) -> Result<Job, DeskError> {
+        if !(FEWEST_SHOTS..=MOST_SHOTS).contains(&shots) {
+            return Err(DeskError::BadValue(format!(
+                "shots is {shots}; a run takes {FEWEST_SHOTS} to {MOST_SHOTS}"
+            )));
+        }
+        let session = self.session(session)?;
+        let desk = self.clone();
+        self.enqueue("repeatability", &session.clone(), Lane::Rig, false, move |progress| {
+            let run = desk.0.engine.repeatability(&session, shots, progress)?;
+            Ok(json!({
+                "words": words_on_repeatability(&run),
+                "shots": run.shots.len(),
+                "spread": run.spread,
+                "spread_error": run.spread_error,
+                "corrected": run.corrected,
+                "corrected_error": run.corrected_error,
+                "sensor_noise": run.sensor_noise,
+            }))
         })
     }
 

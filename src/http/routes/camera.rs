@@ -1,8 +1,8 @@
 //! The camera: which one, how it stands, its live picture, exposure and region, histograms.
 
-use super::blocking;
 use super::jobs::accepted;
 use super::pairs::FrameName;
+use super::{blocking, wishes};
 use crate::capture::LivePicture;
 use crate::http::App;
 use crate::http::bodies::{DevicesBody, JobBody};
@@ -174,11 +174,7 @@ pub(super) async fn find_exposure(
     body: Bytes,
 ) -> Result<Response, Problem> {
     let Path(session) = session?;
-    let order = if body.is_empty() {
-        FindOrder::default()
-    } else {
-        serde_json::from_slice(&body).map_err(|e| Problem::bad_request("body_invalid", e))?
-    };
+    let order: FindOrder = wishes(&body)?;
     Ok(accepted(blocking(move || app.desk.find_exposure(&session, order.into())).await?))
 }
 

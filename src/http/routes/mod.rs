@@ -17,6 +17,7 @@ use crate::jobs::JobsError;
 use crate::session::SessionError;
 use axum::extract::DefaultBodyLimit;
 use axum::http::{Method, StatusCode, Uri};
+use serde::de::DeserializeOwned;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
@@ -49,6 +50,7 @@ pub(super) fn all() -> OpenApiRouter<App> {
         .routes(routes!(camera::confirm))
         .routes(routes!(camera::histogram))
         .routes(routes!(flash::account))
+        .routes(routes!(flash::repeatability))
         .routes(routes!(events::listen))
         .routes(routes!(files::fetch))
         .routes(routes!(processing::shoot_card))
@@ -102,6 +104,14 @@ impl From<DeskError> for Problem {
 }
 
 /// Runs what may wait for a disk or a device on a thread that may block.
+/// A body of JSON that may be left out: no body means no wishes, whatever the content type says.
+fn wishes<T: Default + DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
+    if body.is_empty() {
+        return Ok(T::default());
+    }
+    serde_json::from_slice(body).map_err(|e| Problem::bad_request("body_invalid", e))
+}
+
 async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, DeskError> + Send + 'static,
 ) -> Result<T, Problem> {

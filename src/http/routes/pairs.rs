@@ -1,7 +1,7 @@
 //! Pairs: taking them, listing them, looking at them.
 
-use super::blocking;
 use super::jobs::{accepted, ended};
+use super::{blocking, wishes};
 use crate::capture::Frame;
 use crate::http::App;
 use crate::http::bodies::{JobBody, PairBody, PairOrder};
@@ -56,12 +56,7 @@ pub(super) async fn take(
     body: Bytes,
 ) -> Result<Response, Problem> {
     let Query(when) = when?;
-    // No body means no wishes, whatever the content type says.
-    let order = if body.is_empty() {
-        PairOrder::default()
-    } else {
-        serde_json::from_slice(&body).map_err(|e| Problem::bad_request("body_invalid", e))?
-    };
+    let order: PairOrder = wishes(&body)?;
     let desk = app.desk.clone();
     let job = blocking(move || desk.take_pair(order.session.as_deref())).await?;
     if when.wait {
