@@ -98,18 +98,18 @@ pub(super) fn run(what: &Flash) -> CliResult {
     }
 }
 
-/// The driver, and the simulated board that must live as long.
-fn open(at: &At, settings: FlashSettings) -> Result<(SerialFlash, Option<Arc<Board>>), CliError> {
+/// The simulated board, which must outlive the driver, and the driver.
+fn open(at: &At, settings: FlashSettings) -> Result<(Option<Arc<Board>>, SerialFlash), CliError> {
     if at.studio {
         let board = Arc::new(Board::start(BoardOptions::default()).map_err(CliError::new)?);
         let flash = SerialFlash::open_with(board.device(), settings).map_err(CliError::new)?;
-        return Ok((flash, Some(board)));
+        return Ok((Some(board), flash));
     }
     let flash = match &at.port {
         Some(port) => SerialFlash::open_with(port, settings).map_err(CliError::new)?,
         None => SerialFlash::open_first(settings).map_err(CliError::new)?.ok_or_else(no_port)?,
     };
-    Ok((flash, None))
+    Ok((None, flash))
 }
 
 fn no_port() -> CliError {
@@ -175,7 +175,7 @@ fn show_port(port: &Port) {
 }
 
 fn try_out(at: &At, shots: u32, recycle: Option<Duration>, json: bool) -> CliResult {
-    let (mut flash, _board) = open(at, FlashSettings { recycle, ..FlashSettings::default() })?;
+    let (_board, mut flash) = open(at, FlashSettings { recycle, ..FlashSettings::default() })?;
     let before = trial::before(&mut flash).map_err(CliError::new)?;
     if !json {
         show_before(&before);
@@ -229,7 +229,7 @@ fn show_shot(shot: &TrialShot) {
 }
 
 fn watch(at: &At, json: bool) -> CliResult {
-    let (flash, board) = open(at, FlashSettings::default())?;
+    let (board, flash) = open(at, FlashSettings::default())?;
     let events = flash.follow();
     eprintln!("{}; ctrl-C ends it", flash.description());
     if let Some(board) = board {
