@@ -7,8 +7,8 @@
  *   D7       PD7  READY     the flash's ready output, high when charged; read only after cfg rdy=1. An external
  *                           resistor pulls it low: a wire that came off is a flash that is not ready
  *   D13      PB5  ARMED     the board's LED: the gate is open
- *   A0       PC0  LIGHT     photodiode behind its RC, 0 to 5 V
- *   A1       PC1  SPARE     read by adc ch=1
+ *   A0       PC0  LIGHT     photodiode behind its RC, 0 to 1.1 V; read by adc ch=0
+ *   AREF                    the chip's own 1.1 V on the board's capacitor: never wire anything else to it
  *   D0, D1   PD0, PD1       UART, through the board's USB converter
  *
  * D13 would do as the trigger only until the boot loader blinks it. Included by C and by assembly. */
@@ -22,7 +22,10 @@
 #define READY 7   /* of port D */
 #define ARMED 5   /* of port B */
 #define LIGHT_CHANNEL 0
-#define ADC_CHANNELS 2
+#define ADC_CHANNELS 1
+
+/* Measured against the chip's own 1.1 V, so that no energy depends on the supply. */
+#define REFERENCE (_BV(REFS1) | _BV(REFS0))
 
 /* Bits of GPIOR0, which an interrupt tests and sets without touching a register. */
 #define GATE 0  /* open: the next sync raises the trigger */

@@ -12,6 +12,7 @@
 #include <avr/interrupt.h>
 #include <avr/sleep.h>
 #include <avr/wdt.h>
+#include <util/delay.h>
 
 /* Room in the sending ring that events leave to an answer: that to hello is the longest but get's. */
 enum { TX_RING = 256, ANSWER_ROOM = 112 };
@@ -155,17 +156,21 @@ static bool hal_charged(void *ctx)
 
 /* ---- light ---- */
 
-enum { ADC_ON = _BV(ADEN) | _BV(ADPS2) }; /* 1 MHz, 13 us a conversion */
+/* 1 MHz, 13 us a conversion. Never off once it runs: without ADEN the reference lets go of its capacitor. */
+enum { ADC_ON = _BV(ADEN) | _BV(ADPS2) };
+
+/* The reference is weak: from 5 V, which another program may have left there, it brings 100 nF into its own 32 kOhm
+ * to 0.02 % of 1.1 V in 31 ms. Thrice that. */
+enum { REFERENCE_SETTLES_MS = 100 };
 
 /* The main loop's conversion is under way or done; an edge that takes the converter clears it. */
 static volatile uint8_t converting;
 
-/* Every 13 us from now on, with interrupts. In interrupts or while they are held off. */
+/* Every 13 us from now on, with interrupts. A conversion of the main loop that is under way becomes the first sample:
+ * there is one channel. In interrupts or while they are held off. */
 static void gather_light(void)
 {
-    ADCSRA = 0; /* breaks off what the main loop may have begun */
     converting = 0;
-    ADMUX = _BV(REFS0) | LIGHT_CHANNEL;
     ADCSRA = ADC_ON | _BV(ADSC) | _BV(ADATE) | _BV(ADIE) | _BV(ADIF);
 }
 
@@ -173,15 +178,14 @@ ISR(ADC_vect)
 {
     core_light_sample(&core, ADC);
     if (core.sampling == 0) {
-        ADCSRA = 0;
+        ADCSRA = ADC_ON | _BV(ADIF);
     }
 }
 
-static void convert(uint8_t channel)
+static void convert(void)
 {
     cli();
     if (core.sampling == 0) {
-        ADMUX = (uint8_t)(_BV(REFS0) | channel);
         ADCSRA = ADC_ON | _BV(ADSC) | _BV(ADIF);
         converting = 1;
     }
@@ -207,11 +211,11 @@ static bool converted(uint16_t *counts)
 
 static uint16_t hal_adc(void *ctx, uint8_t channel)
 {
-    (void)ctx;
+    (void)ctx, (void)channel;
     uint16_t counts = CORE_ADC_NONE;
     while (!converted(&counts)) {
     }
-    convert(channel);
+    convert();
     while (!converted(&counts)) {
     }
     return counts;
@@ -224,8 +228,21 @@ static void watch_dark(bool tick)
         core_dark_sample(&core, counts);
     }
     if (tick && converting == 0) {
-        convert(LIGHT_CHANNEL);
+        convert();
     }
+}
+
+static void start_converter(void)
+{
+    DIDR0 = _BV(ADC0D);
+    ADMUX = REFERENCE | LIGHT_CHANNEL;
+    ADCSRA = ADC_ON;
+    for (uint8_t ms = 0; ms < REFERENCE_SETTLES_MS; ms++) {
+        _delay_ms(1);
+        wdt_reset();
+    }
+    hal_adc(NULL, LIGHT_CHANNEL); /* the first after a change of reference may be wrong */
+    hal_adc(NULL, LIGHT_CHANNEL);
 }
 
 /* ---- sync ---- */
@@ -308,9 +325,9 @@ static void start(void)
     PORTD = _BV(SYNC); /* pull-up; the trigger low before it is an output */
     DDRD = _BV(TRIGGER);
     DDRB = _BV(ARMED);
-    DIDR0 = _BV(ADC0D) | _BV(ADC1D);
     ACSR = _BV(ACD);
     GPIOR0 = 0;
+    start_converter();
 
     TCCR1B = _BV(CS11); /* 2 MHz */
     TIMSK1 = _BV(OCIE1A);

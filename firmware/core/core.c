@@ -2,6 +2,9 @@
 
 #include <string.h>
 
+/* Values of trigger_high; 0 is low. */
+enum { RISEN = 1, TIMED = 2 };
+
 /* One count of a dark level: the fraction keeps 2^20 parts, so that a window's sum of it is right to a count. */
 #define DARK_ONE (UINT32_C(1) << 20)
 
@@ -103,7 +106,7 @@ static void begin_shot(struct core *core, uint32_t now_us, bool fired, bool gate
 static void note_rise(struct core *core, uint32_t now_us)
 {
     core->trigger_at = now_us;
-    core->trigger_high = 1;
+    core->trigger_high = RISEN;
 }
 
 void core_sync_edge(struct core *core, uint32_t now_us, bool gated)
@@ -287,12 +290,22 @@ static void end_lock(struct core *core, uint32_t now_us)
     }
 }
 
-void core_poll(struct core *core, uint32_t now_us)
+/* Counts from the poll after the rise, unless that was noted later than this poll's time: a pulse may be too long by
+ * a poll, but never too short. A platform that ends it by itself is before this. */
+static void end_pulse(struct core *core, uint32_t now_us)
 {
-    if (core->trigger_high != 0 && passed(now_us, core->trigger_at, core->cfg.pulse_us)) {
+    if (core->trigger_high == RISEN) {
+        core->pulse_from = elapsed(now_us, core->trigger_at) > 0 ? now_us : core->trigger_at;
+        core->trigger_high = TIMED;
+    } else if (core->trigger_high == TIMED && passed(now_us, core->pulse_from, core->cfg.pulse_us)) {
         core->hal->trigger(core->hal->ctx, false);
         core->trigger_high = 0;
     }
+}
+
+void core_poll(struct core *core, uint32_t now_us)
+{
+    end_pulse(core, now_us);
     LINE_ROM char *why = NULL;
     if ((core->armed || core->fire_pending) && passed(now_us, core->heard_at, core->cfg.sil_ms * 1000ul)) {
         why = TEXT("silence");
@@ -301,10 +314,14 @@ void core_poll(struct core *core, uint32_t now_us)
     }
     if (why != NULL) {
         core_safe(core);
-        /* The interrupt may have used the gate just before it was closed; then that is what happened. */
-        if (core->used == 0) {
-            tell_disarm(core, why);
-        }
+    }
+    /* Before anything is written, which takes milliseconds: now_us must still be true. */
+    if (core->fire_pending && passed(now_us, core->fire_from, core->fire_delay_us) && core->locked == 0) {
+        fire_now(core, now_us);
+    }
+    /* The interrupt may have used the gate just before it was closed; then that is what happened. */
+    if (why != NULL && core->used == 0) {
+        tell_disarm(core, why);
     }
     if (core->used != 0) {
         core->used = 0;
@@ -314,9 +331,6 @@ void core_poll(struct core *core, uint32_t now_us)
     }
     watch_contact(core, now_us);
     end_lock(core, now_us);
-    if (core->fire_pending && passed(now_us, core->fire_from, core->fire_delay_us) && core->locked == 0) {
-        fire_now(core, now_us);
-    }
     if (core->recent && passed(now_us, core->triggered_at, CORE_TRIGGER_GAP_MS * 1000ul)) {
         core->recent = false;
     }

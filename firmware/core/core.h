@@ -123,7 +123,7 @@ struct core {
     uint8_t dark_age;    /* samples since boot, up to 255 */
     uint32_t armed_at, arm_ttl_us;
     uint32_t fire_tag, fire_from, fire_delay_us;
-    uint32_t heard_at, triggered_at, closed_since;
+    uint32_t heard_at, triggered_at, closed_since, pulse_from;
     uint32_t shots;
     uint16_t events;
     bool armed, fire_pending, recycling, untold_ready, recent, greeted, strict, contact_closed, stuck_told;

@@ -83,7 +83,7 @@ static enum line_error cfg(struct core *core, struct line_request *request, stru
         return LINE_ARG;
     }
     /* Times that run are not changed under way. */
-    if (request->count > 0 && (core->armed || core->fire_pending || core->measuring != 0)) {
+    if (request->count > 0 && (core->armed || core->fire_pending || core->measuring != 0 || core->trigger_high != 0)) {
         return LINE_BUSY;
     }
     next.rdy = (uint8_t)rdy;
@@ -109,7 +109,7 @@ static enum line_error may_trigger(struct core *core, uint32_t now_us)
     if (core->recycling || core_wait_ms(core, now_us) > 0 || !core_charged(core)) {
         return LINE_NOTREADY;
     }
-    return core->recent ? LINE_RATE : LINE_OK;
+    return core->recent || core->trigger_high != 0 ? LINE_RATE : LINE_OK;
 }
 
 static enum line_error arm(struct core *core, struct line_request *request, uint32_t now_us)

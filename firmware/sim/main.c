@@ -11,7 +11,7 @@
  *   say TEXT                 bytes to the board at line rate, with a line end; \xHH for any byte
  *   contact US=LEVEL ...     the sync contact closes (1) or opens (0) so long from now; bounce is several of them
  *   ready 0|1                the flash's ready output
- *   spare COUNTS             what the second ADC channel reads
+ *   supply MILLIVOLTS        the board's supply, 5000 at start; the light on the diode stays what it is
  *   light KEY=VALUE ...      dark noise flicker hz energy jitter recycle seed; see light.h
  *   reset                    pulls the reset pin, as DTR does on an Uno
  *   flash ADDRESS WORD       overwrites a word of the program (hexadecimal); answers what stood there
@@ -26,11 +26,12 @@
  *   < LINE                   the board said (uart stdio)
  *
  * Of simavr 1.6 one must know: a pin's level lasts only with SET_EXTERNAL, because every write to the port puts the
- * pull-ups back; the ADC's result is what its pin has when the result is read; a reset clears RAM and forgets all
+ * pull-ups back, and an unchanged one is not written again after a reset has cleared PIND; the ADC's result is what its pin has when the result is read; a reset clears RAM and forgets all
  * cycle timers; an interrupt is served between instructions but costs no response cycles, of which the chip takes
  * four and, for its synchroniser, up to two; its UART counts 11 bits a byte, so the line is 8 % slower than a real
  * one; and its EEPROM writes last no time. */
 #define _GNU_SOURCE
+#include "hex.h"
 #include "light.h"
 
 #include <avr_adc.h>
@@ -40,7 +41,6 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <sim_avr.h>
-#include <sim_hex.h>
 #include <sim_time.h>
 #include <stdarg.h>
 #include <stdbool.h>
@@ -52,13 +52,12 @@
 #include <unistd.h>
 
 enum { HZ = 16000000, BYTE_CYCLES = 1504, SYNC_PIN = 2, TRIGGER_PIN = 4, READY_PIN = 7, ARMED_PIN = 5 };
-enum { VOLT_MV = 5000, UNUSED = 0xC5, RAM_START = 0x100, BOOT_START = 0x7E00 };
+enum { VOLT_MV = 5000, UNUSED = 0xC5, RAM_START = 0x100, PIND = 0x29 };
 
 static avr_t *avr;
 static FILE *out;
 static struct light light = { .dark = 12.3, .noise = 0.5, .flicker_hz = 100, .energy = 1, .random = 1 };
 static bool real_time, was_reset, contact_closed, ready = true, trigger_high, armed_lit;
-static uint32_t spare_counts = 256;
 
 static enum { UART_PTY, UART_STDIO, UART_OFF } uart = UART_PTY;
 static int pty = -1;
@@ -110,6 +109,7 @@ static void drive_pins(void)
     avr_ioport_external_t levels = { .name = 'D', .mask = 1u << SYNC_PIN | 1u << READY_PIN };
     levels.value = (contact_closed ? 0u : 1u << SYNC_PIN) | (ready ? 1u << READY_PIN : 0u);
     avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('D'), &levels);
+    avr->data[PIND] = (uint8_t)((avr->data[PIND] & ~levels.mask) | levels.value);
     avr_raise_irq(pin('D', SYNC_PIN), !contact_closed);
     avr_raise_irq(pin('D', READY_PIN), ready);
 }
@@ -154,18 +154,16 @@ static void on_armed(avr_irq_t *irq, uint32_t value, void *unused)
 
 /* ---- ADC ---- */
 
-/* The least voltage that simavr turns into so many counts. */
+/* The least voltage that, against the chip's own reference, simavr turns into so many counts. */
 static uint32_t millivolts(uint32_t counts)
 {
-    return (counts * VOLT_MV + 1022) / 1023;
+    return (counts * ADC_VREF_V110 + 1022) / 1023;
 }
 
 static void on_conversion(avr_irq_t *irq, uint32_t value, void *unused)
 {
-    (void)irq, (void)unused;
-    const union { uint32_t value; avr_adc_mux_t mux; } what = { .value = value };
-    const uint32_t counts = what.mux.src == 0 ? light_sample(&light, now_us()) : spare_counts;
-    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, (int)(ADC_IRQ_ADC0 + what.mux.src)), millivolts(counts));
+    (void)irq, (void)value, (void)unused;
+    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0), millivolts(light_sample(&light, now_us())));
 }
 
 /* ---- UART ---- */
@@ -472,8 +470,9 @@ static void command(char *line)
     } else if (strcmp(line, "ready") == 0) {
         ready = strcmp(words, "1") == 0;
         drive_pins();
-    } else if (strcmp(line, "spare") == 0) {
-        spare_counts = (uint32_t)strtoul(words, NULL, 10);
+    } else if (strcmp(line, "supply") == 0) {
+        avr->vcc = avr->avcc = avr->aref = (uint32_t)strtoul(words, NULL, 10);
+        done = avr->vcc > 0;
     } else if (strcmp(line, "light") == 0) {
         done = command_light(words);
     } else if (strcmp(line, "reset") == 0) {
@@ -514,20 +513,14 @@ static void read_commands(void)
     }
 }
 
-static void load(const char *path)
+/* Returns where the program begins. */
+static avr_flashaddr_t load(const char *path)
 {
-    ihex_chunk_p chunks = NULL;
-    const int count = read_ihex_chunks(path, &chunks);
-    if (count <= 0) {
-        die("the program is not there, or no Intel hex file");
+    size_t begin = 0;
+    if (!hex_load(path, avr->flash, avr->flashend + 1u, &begin)) {
+        die("the program cannot be loaded");
     }
-    for (int i = 0; i < count; i++) {
-        if (chunks[i].baseaddr + chunks[i].size > avr->flashend + 1u) {
-            die("the program does not fit the flash memory");
-        }
-        memcpy(avr->flash + chunks[i].baseaddr, chunks[i].data, chunks[i].size);
-    }
-    free_ihex_chunks(chunks);
+    return (avr_flashaddr_t)begin;
 }
 
 int main(int count, char **arguments)
@@ -557,8 +550,7 @@ int main(int count, char **arguments)
         load(arguments[1]);
     }
     if (count == 3) {
-        load(arguments[2]);
-        avr->reset_pc = avr->pc = BOOT_START;
+        avr->reset_pc = avr->pc = load(arguments[2]); /* as the fuse BOOTRST has it */
     }
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);

@@ -6,7 +6,7 @@ use crate::capture::{AfterPair, Events, FlashKind, RigSource, Topic};
 use crate::http::{StageOrder, StudioBody, StudioControl};
 use crate::progress::Progress;
 use crate::rig::camera::{self, HostedCamera};
-use crate::rig::flash::{self, SerialFlash};
+use crate::rig::flash::{FlashSettings, SerialFlash};
 use crate::rig::{CameraError, CameraInfo, Flash, FlashError};
 use crate::studio::camera::CameraServer;
 use crate::studio::world::{Stage, StageError, World};
@@ -14,6 +14,7 @@ use crate::studio::{Board, BoardOptions};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 #[derive(clap::Args)]
 pub(super) struct DeviceArgs {
@@ -27,6 +28,18 @@ pub(super) struct DeviceArgs {
     /// the first controller that answers.
     #[arg(long, value_name = "DEV|manual|none")]
     flash: Option<String>,
+    /// Recycle time of the flash, which the controller waits out after each trigger; without it the controller's own.
+    #[arg(long, value_name = "SECONDS", value_parser = recycle_time)]
+    recycle: Option<Duration>,
+}
+
+/// Up to a minute, as the controller keeps it.
+pub(super) fn recycle_time(text: &str) -> Result<Duration, String> {
+    let seconds: f64 = text.parse().map_err(|_| format!("{text} is no number of seconds"))?;
+    if !(0.0..=60.0).contains(&seconds) {
+        return Err(format!("{text} s: the controller keeps recycle times of 0 to 60 s"));
+    }
+    Ok(Duration::from_secs_f64(seconds))
 }
 
 impl DeviceArgs {
@@ -40,14 +53,16 @@ impl DeviceArgs {
                 port: port.clone(),
                 serial: None,
             }];
+            let settings = self.flash_settings();
             let source = RigSource {
                 camera: Box::new(move |_| Ok(Box::new(HostedCamera::open(Some(&port))?))),
                 cameras: Box::new(move || Ok(simulated.clone())),
-                flash: Box::new(move || controller(&device)),
+                flash: Box::new(move || controller(&device, settings)),
             };
             return Ok((source, Some(Arc::new(studio))));
         }
         let port = self.camera.clone();
+        let settings = self.flash_settings();
         let camera =
             Box::new(move |chosen: Option<&str>| -> Result<Box<dyn crate::rig::Camera>, CameraError> {
                 Ok(Box::new(HostedCamera::open(chosen.or(port.as_deref()))?))
@@ -57,11 +72,15 @@ impl DeviceArgs {
             Some("none") => Box::new(|| Ok(FlashKind::None)),
             Some(device) => {
                 let device = PathBuf::from(device);
-                Box::new(move || controller(&device))
+                Box::new(move || controller(&device, settings))
             }
-            None => Box::new(first_controller),
+            None => Box::new(move || first_controller(settings)),
         };
         Ok((RigSource { camera, cameras: Box::new(camera::list), flash }, None))
+    }
+
+    fn flash_settings(&self) -> FlashSettings {
+        FlashSettings { recycle: self.recycle, ..FlashSettings::default() }
     }
 
     /// Whether the operator switches the flash.
@@ -70,21 +89,16 @@ impl DeviceArgs {
     }
 }
 
-fn controller(device: &Path) -> Result<FlashKind, FlashError> {
-    Ok(FlashKind::Controller(Box::new(SerialFlash::open(device)?) as Box<dyn Flash>))
+fn controller(device: &Path, settings: FlashSettings) -> Result<FlashKind, FlashError> {
+    Ok(FlashKind::Controller(Box::new(SerialFlash::open_with(device, settings)?) as Box<dyn Flash>))
 }
 
-/// The first serial port behind which a controller answers. With ports but no answer, the last port's error
-/// tells more than "none".
-fn first_controller() -> Result<FlashKind, FlashError> {
-    let mut outcome = Ok(FlashKind::None);
-    for device in flash::list() {
-        outcome = controller(&device);
-        if outcome.is_ok() {
-            break;
-        }
-    }
-    outcome
+/// The first serial port behind which a controller answers; none where there are no ports.
+fn first_controller(settings: FlashSettings) -> Result<FlashKind, FlashError> {
+    Ok(match SerialFlash::open_first(settings)? {
+        Some(flash) => FlashKind::Controller(Box::new(flash)),
+        None => FlashKind::None,
+    })
 }
 
 /// The simulated studio at the other end of the wires.

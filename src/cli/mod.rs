@@ -6,6 +6,7 @@ mod decode_host;
 mod devices;
 mod doctor;
 mod evaluate;
+mod flash;
 mod import;
 mod import_pairs;
 mod import_scene;
@@ -92,6 +93,9 @@ enum Command {
     /// Looks at what cameras and flash controllers need on this machine, and says what to do; exit code 1 if
     /// anything keeps them from working.
     Doctor(doctor::Args),
+    /// The flash controller: finds, tries, watches and programs it.
+    #[command(subcommand)]
+    Flash(flash::Flash),
     /// Prints the OpenAPI document of `unlit serve`.
     Openapi,
     /// The simulated studio's own housekeeping.
@@ -118,6 +122,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
         Command::Process(args) => process::run(&args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Flash(what) => flash::run(&what),
         Command::Openapi => openapi::run(),
         Command::Studio(command) => studio::run(command),
         Command::CameraHost(args) => camera_host::run(&args),

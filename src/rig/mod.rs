@@ -4,6 +4,7 @@
 pub mod camera;
 pub mod doctor;
 pub mod flash;
+pub mod system;
 mod traits;
 pub mod usb;
 

@@ -5,6 +5,7 @@
 //! X-sync contact. What the camera sees comes from a path tracer that shares only the ray kernel with
 //! [`crate::light`].
 
+mod blank;
 mod board;
 pub mod camera;
 pub mod truth;
@@ -12,5 +13,6 @@ mod wires;
 pub mod world;
 
 pub use crate::codec::cr2;
+pub use blank::BlankBoard;
 pub use board::{Board, BoardOptions, Heat, LampOptions, Recharge, Rise};
 pub use wires::{SyncContact, View};

@@ -172,7 +172,9 @@ pub(crate) struct Fields(HashMap<String, String>);
 
 impl Fields {
     pub(crate) fn of<'a>(words: impl Iterator<Item = &'a str>) -> Self {
-        Self(words.map(|w| w.split_once('=').expect("key=value")).map(|(k, v)| (k.into(), v.into())).collect())
+        Self(
+            words.map(|w| w.split_once('=').expect("key=value")).map(|(k, v)| (k.into(), v.into())).collect(),
+        )
     }
 
     pub(crate) fn word(&self, key: &str) -> &str {
@@ -211,8 +213,7 @@ impl Desk {
     pub(crate) fn booted() -> Self {
         let mut sim = Sim::start();
         sim.command("uart stdio");
-        let mut desk =
-            Self { sim, seq: 0, events: Vec::new(), reports: Vec::new(), answers: Vec::new() };
+        let mut desk = Self { sim, seq: 0, events: Vec::new(), reports: Vec::new(), answers: Vec::new() };
         desk.wait_ms(300.0);
         desk
     }
@@ -330,7 +331,8 @@ impl Desk {
             _ => None,
         });
         let closed = closed.expect("the contact closed");
-        let energy = reports.iter().map(|r| if let Report::Light { energy } = r { *energy } else { 0.0 }).sum();
+        let energy =
+            reports.iter().map(|r| if let Report::Light { energy } = r { *energy } else { 0.0 }).sum();
         let latencies = rises(&reports).iter().map(|rise| rise - closed).collect();
         Frame { shot: shots.remove(0), latencies, energy }
     }

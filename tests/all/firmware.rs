@@ -1,6 +1,6 @@
 //! The AVR's program in simavr: what `firmware/PROTOCOL.md` promises, one by one, in simulated time.
 
-use super::avr::{Desk, MHZ, Report, built, firmware, mean_and_sd, rises, sealed};
+use super::avr::{Desk, MHZ, Report, built, firmware, mean_and_sd, rises};
 use std::process::Command;
 
 /// Memories of the ATmega328P, bytes.
@@ -81,6 +81,7 @@ const CHIP_EXTRA: u64 = 6;
 #[test]
 fn the_trigger_follows_the_sync_within_cycles() {
     let mut desk = Desk::greeted();
+    desk.ok("cfg win=200"); // light is not the subject, and takes the simulator long
     let mut idle = Vec::new();
     for tag in 1..=150 {
         idle.extend(desk.lit_frame(tag, f64::from(tag) * 7.0625).latencies);
@@ -101,7 +102,8 @@ fn the_trigger_follows_the_sync_within_cycles() {
         });
         loaded.extend(rises(&reports).iter().map(|rise| rise - closed.unwrap()));
     }
-    let ((idle_median, idle_max), (median, max)) = (median_and_max(idle.clone()), median_and_max(loaded.clone()));
+    let ((idle_median, idle_max), (median, max)) =
+        (median_and_max(idle.clone()), median_and_max(loaded.clone()));
     let us = |cycles: u64| (cycles + CHIP_EXTRA) as f64 / MHZ;
     println!("sync to trigger, idle: median {idle_median}, max {idle_max} cycles of {}", idle.len());
     println!("sync to trigger, UART loaded: median {median}, max {max} cycles of {}", loaded.len());
@@ -121,7 +123,13 @@ fn two_hundred_dark_and_two_hundred_lit_frames() {
         lit.push(desk.lit_frame(tag, 100.0));
     }
     let count = |frames: &[super::avr::Frame]| frames.iter().map(|f| f.latencies.len()).sum::<usize>();
-    println!("{} dark frames: {} triggers; {} lit frames: {} triggers", dark.len(), count(&dark), lit.len(), count(&lit));
+    println!(
+        "{} dark frames: {} triggers; {} lit frames: {} triggers",
+        dark.len(),
+        count(&dark),
+        lit.len(),
+        count(&lit)
+    );
     assert!(dark.iter().all(|f| f.latencies.is_empty() && f.energy == 0.0));
     assert!(dark.iter().all(|f| (f.shot.int("g"), f.shot.int("tag"), f.shot.int("w")) == (0, 0, 0)));
     assert!(lit.iter().all(|f| f.latencies.len() == 1 && f.energy == 1.0));
@@ -151,8 +159,11 @@ fn a_dark_shot_measures_the_noise_of_the_energy_and_a_lit_one_the_energy() {
     let ((dark_mean, dark_sd), (energy, energy_sd)) = (mean_and_sd(&dark), mean_and_sd(&ratios));
     let (_, given_sd) = mean_and_sd(&given);
     println!("dark shots: mean {dark_mean:.1}, SD {dark_sd:.1} counts");
-    println!("energy {energy:.0} counts a unit, given SD {:.3} %, measured over given SD {:.4} %",
-        100.0 * given_sd, 100.0 * energy_sd / energy);
+    println!(
+        "energy {energy:.0} counts a unit, given SD {:.3} %, measured over given SD {:.4} %",
+        100.0 * given_sd,
+        100.0 * energy_sd / energy
+    );
     assert!(dark.iter().any(|e| *e < 0.0) && dark.iter().any(|e| *e > 0.0), "noise has both signs: {dark:?}");
     assert!(dark_mean.abs() < 4.0 * dark_sd / 40f64.sqrt() + 2.0, "a bias of {dark_mean} counts");
     assert!(energy_sd / energy < 0.0006, "{}", energy_sd / energy);
@@ -161,13 +172,49 @@ fn a_dark_shot_measures_the_noise_of_the_energy_and_a_lit_one_the_energy() {
     assert!((0.4..2.5).contains(&(energy_sd / energy / predicted)), "dark shots predict {predicted}");
 }
 
+/// A window of whole periods of the room light's flicker gathers as much of it as the dark level has.
+#[test]
+fn the_window_can_be_made_to_fit_the_mains() {
+    let mut spread = Vec::new();
+    for (hz, window) in [(100, 20_000), (120, 20_000), (120, 25_000)] {
+        let mut desk = Desk::greeted();
+        desk.ok(&format!("cfg win={window}"));
+        desk.sim.command(&format!("light flicker=5 hz={hz} seed=3"));
+        desk.wait_ms(1400.0);
+        let dark: Vec<f64> =
+            (0..30).map(|i| desk.frame(f64::from(i * 7919 % 100) * 100.0).shot.int("e") as f64).collect();
+        let (_, sd) = mean_and_sd(&dark);
+        println!("flicker of 5 counts at {hz} Hz, window {window} us: dark shots' SD {sd:.0} counts");
+        spread.push(sd);
+    }
+    assert!(spread[0] < 120.0 && spread[1] > 300.0 && spread[2] < 160.0, "{spread:?}");
+}
+
+#[test]
+fn the_energy_does_not_depend_on_the_supply() {
+    let mut desk = Desk::greeted();
+    desk.sim.command("light noise=0.3 seed=3");
+    let mut energies = Vec::new();
+    for millivolts in [5000, 4500, 5500] {
+        desk.sim.command(&format!("supply {millivolts}"));
+        desk.wait_ms(1000.0);
+        desk.ok("ping");
+        energies.push(desk.lit_frame(1, 1000.0).shot.int("e") as f64);
+        println!("supply of {millivolts} mV: energy {}", energies[energies.len() - 1]);
+    }
+    for energy in &energies {
+        assert!((energy / energies[0] - 1.0).abs() < 0.002, "{energies:?}");
+    }
+}
+
 #[test]
 fn contact_bounce_gives_one_trigger_and_one_shot() {
     let mut desk = Desk::greeted();
     for gap in [1.0, 3.0, 10.0, 50.0, 170.0] {
         desk.ok("arm tag=1 ttl=1000");
         let closing: String = (0..12).map(|i| format!("{}={} ", f64::from(i) * gap, 1 - i % 2)).collect();
-        let opening: String = (0..9).map(|i| format!("{}={} ", 12_000.0 + f64::from(i) * gap, i % 2)).collect();
+        let opening: String =
+            (0..9).map(|i| format!("{}={} ", 12_000.0 + f64::from(i) * gap, i % 2)).collect();
         let reports = desk.contact(&format!("{closing}4000=1 {opening}15000=0"));
         let shots = desk.take_events("shot");
         assert_eq!((rises(&reports).len(), shots.len()), (1, 1), "bounces {gap} us apart");
@@ -183,6 +230,7 @@ fn contact_bounce_gives_one_trigger_and_one_shot() {
 #[test]
 fn no_bounce_of_an_earlier_sync_uses_a_gate_that_opens_meanwhile() {
     let mut desk = Desk::greeted();
+    desk.ok("cfg win=200");
     let say_arm = |desk: &mut Desk| -> u64 {
         desk.take_reports();
         let arm = desk.numbered("arm tag=1 ttl=40");
@@ -212,7 +260,8 @@ fn no_bounce_of_an_earlier_sync_uses_a_gate_that_opens_meanwhile() {
         let closing = closing.expect("the contact closed");
         match rises(&reports)[..] {
             [] => before += 1,
-            [rise] if rise - closing < 60 => after += 1,
+            // Within what the board holds interrupts off for, long before the bounce.
+            [rise] if rise - closing < 160 => after += 1,
             ref rises => panic!("step {step}: edge at {closing}, trigger at {rises:?}"),
         }
         assert_eq!(desk.take_events("shot").len(), 1);
@@ -272,7 +321,7 @@ fn every_start_has_another_number() {
     let mut boots = vec![desk.take_events("boot")[0].int("boot")];
     for _ in 0..70 {
         desk.sim.command("reset");
-        desk.wait_ms(30.0);
+        desk.wait_ms(150.0);
         boots.push(desk.take_events("boot")[0].int("boot"));
     }
     assert_eq!(boots, (1..=71).collect::<Vec<_>>());
@@ -389,7 +438,8 @@ fn the_watchdog_resets_a_board_that_hangs_while_armed() {
     let hung_at: u64 = desk.sim.command("run 1").parse().unwrap();
     desk.wait_ms(400.0);
     let reports = desk.take_reports();
-    let reset = reports.iter().find_map(|r| if let Report::Reset { cycle } = r { Some(*cycle) } else { None });
+    let reset =
+        reports.iter().find_map(|r| if let Report::Reset { cycle } = r { Some(*cycle) } else { None });
     let after = (reset.expect("a reset") - hung_at) as f64 / MHZ / 1000.0;
     println!("hung while armed: reset after {after:.0} ms");
     assert!(after < 300.0);
@@ -443,6 +493,27 @@ fn a_host_that_does_not_wait_gets_whole_lines_or_none() {
     assert_eq!(ping.int("n"), 1);
     assert!(ping.int("ev") >= events, "a lost event shows in their number");
     assert_eq!(desk.ok("get n=1").int("g"), 0, "what was not told can be fetched");
+}
+
+#[test]
+fn a_storm_of_syncs_costs_events_but_no_answers() {
+    let mut desk = Desk::greeted();
+    desk.ok("cfg lock=1 win=200");
+    let storm: String = (0..150).map(|i| format!("{}=1 {}=0 ", i * 3000, i * 3000 + 500)).collect();
+    desk.sim.command(&format!("contact {}", storm.trim_end()));
+    for _ in 0..10 {
+        desk.wait_ms(30.0);
+        desk.ok("ping"); // as long as a host waits, 300 ms
+    }
+    desk.wait_ms(400.0);
+    // A lock ends in the main loop, so a busy board takes the odd sync for a bounce of the one before.
+    let shots = desk.ok("ping").int("n");
+    let told = desk.take_events("shot").len();
+    println!("150 syncs 3 ms apart: {shots} shots, {told} told at once, the others left out whole");
+    assert!((140..=150).contains(&shots) && (10..140).contains(&told), "{shots} {told}");
+    for n in shots - 15..=shots {
+        assert_eq!(desk.ok(&format!("get n={n}")).int("n"), n);
+    }
 }
 
 #[test]

@@ -280,12 +280,18 @@ fn trigger_path(board: &Schematic) -> Result<(), String> {
 }
 
 fn light_path(board: &Schematic) -> Result<(), String> {
+    // What the photodiode and the dark level live on comes from the supply through the shunt reference alone.
     board.on("R301.1", "+5V")?;
-    board.joined(&["R301.2", "D301.1", "C301.1"])?;
+    board.joined(&["R301.2", "D302.1", "C301.1", "D301.1", "R303.1"])?;
+    board.on("D302.2", "GND")?;
+    board.on("C301.2", "GND")?;
+    let bias = board.net("D301.1")?;
+    if board.net_names[bias].contains("+5V") {
+        return Err("the photodiode's bias is the supply".to_owned());
+    }
     board.joined(&["D301.2", "R302.1", "C302.1", "R303.2", "R304.1"])?;
     board.on("R302.2", "GND")?;
     board.on("C302.2", "GND")?;
-    board.on("R303.1", "+5V")?;
     board.joined(&["R304.2", "U1.A0"])
 }
 
@@ -427,7 +433,6 @@ fn firmware_and_schematic_agree_on_the_pins() {
         ("D7", "READY", "READY"),
         ("D13", "ARMED", "ARMED"),
         ("A0", "LIGHT", "LIGHT"),
-        ("A1", "SPARE", "SUPPLY"),
     ] {
         board.on(&format!("U1.{pin}"), label).unwrap();
         let told = board_h.lines().any(|line| {
@@ -436,6 +441,48 @@ fn firmware_and_schematic_agree_on_the_pins() {
         });
         assert!(told, "firmware/avr/board.h has no line with {pin} and {function}");
     }
+}
+
+/// The chip drives its reference out of AREF, and the light's network ends at its full scale, not at the supply's.
+#[test]
+fn light_is_measured_against_the_chips_own_reference_and_nothing_is_wired_to_it() {
+    assert!(schematic().net("U1.AREF").is_err());
+    let board_h = read("firmware/avr/board.h");
+    let chosen =
+        board_h.lines().find_map(|line| line.strip_prefix("#define REFERENCE ")).expect("a reference");
+    assert_eq!(chosen, "(_BV(REFS1) | _BV(REFS0))");
+    let main_c = read("firmware/avr/main.c");
+    let writes: Vec<&str> = main_c.lines().map(str::trim).filter(|line| line.starts_with("ADMUX")).collect();
+    assert_eq!(writes, ["ADMUX = REFERENCE | LIGHT_CHANNEL;"], "chosen once");
+}
+
+/// Volts and ohms from a part's value such as `LM4040-2.5`, `4k7`, `220` or `4u7 film`.
+fn quantity(value: &str) -> f64 {
+    let word = value.split(' ').next().unwrap().rsplit('-').next().unwrap();
+    let scales = [('k', 1e3), ('M', 1e6), ('u', 1e-6), ('n', 1e-9)];
+    match scales.iter().find(|(letter, _)| word.contains(*letter)) {
+        Some((letter, scale)) => {
+            let digits = word.replace(*letter, ".");
+            digits.trim_end_matches('.').parse::<f64>().unwrap() * scale
+        }
+        None => word.parse().unwrap(),
+    }
+}
+
+#[test]
+fn darkness_and_smoothing_fit_the_reference() {
+    let values = schematic().values;
+    let of = |part: &str| quantity(&values[part]);
+    let (bias, load, lift) = (of("D302"), of("R302"), of("R303"));
+    for reference in [1.0, 1.1, 1.2] {
+        let dark = 1024.0 / reference * bias * load / (load + lift);
+        assert!((15.0..40.0).contains(&dark), "{dark} counts of darkness at {reference} V");
+    }
+    let smoothing = load * of("C302");
+    assert!((0.5e-3..=1.1e-3).contains(&smoothing), "{smoothing} s");
+    // The shunt reference rules even at the peak of a pulse and with a poor supply.
+    let peak = 800.0 / 1024.0 * 1.1 / load;
+    assert!((4.5 - bias) / of("R301") > peak + bias / lift, "{peak} A at 800 counts");
 }
 
 #[test]

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test's helpers may fail as its body may")]
 
 mod api;
+mod avr;
 mod birdbath;
 mod camera;
 mod camera_faults;
@@ -11,7 +12,14 @@ mod capture;
 mod decoders;
 mod evaluate;
 mod fake_rig;
+mod firmware;
+mod firmware_fuzz;
+mod firmware_host;
 mod flash;
+mod flash_commands;
+mod flash_link;
+mod flash_state;
+mod flash_wire;
 mod floors;
 mod gphoto_cli;
 mod hardware;

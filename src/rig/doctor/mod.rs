@@ -4,16 +4,14 @@
 //! [`examine`] looks at this machine; what it makes of what it sees is [`judge`], which takes the folders of the
 //! system as plain paths.
 
-mod system;
-
 use super::camera::{self, Launch};
+use super::system::{self, Holder};
 use super::usb::{self, UsbCamera};
 use super::{CameraInfo, flash};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use system::Holder;
 
-pub use system::{Identity, Roots};
+pub use super::system::{Identity, Roots};
 
 /// How a finding stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -92,13 +90,14 @@ pub fn judge(seen: &Seen, roots: &Roots, me: &Identity) -> Vec<Finding> {
         findings.extend(system::holders(roots, node).iter().map(|holder| held(node, holder)));
     }
     findings.extend(system::running(roots).iter().filter_map(|(name, id)| in_the_way(name, *id)));
-    findings.extend(serial_ports(seen, me));
+    findings.extend(serial_ports(seen, roots, me));
     findings
 }
 
 const UDEV: &str = "Install the udev rules of libgphoto2 (Debian: `sudo apt install libgphoto2-6`, then plug the camera in \
                     again), or log in at the machine itself rather than from afar.";
-const DIALOUT: &str = "`sudo usermod -aG dialout $USER`, then log out and in again.";
+const SERIAL: &str = "Install packaging/udev/60-unlit-flash.rules as it says itself and plug the controller in again; or join the \
+                      group: `sudo usermod -aG dialout $USER`, then log out and in again.";
 
 fn library(seen: &Seen) -> Finding {
     match &seen.library {
@@ -225,17 +224,47 @@ fn in_the_way(name: &str, id: u32) -> Option<Finding> {
             Level::Warning,
             "modem_manager",
             format!("ModemManager (process {id}) talks to serial ports that are plugged in, taking them for modems."),
-            "`sudo systemctl mask --now ModemManager` if the flash controller is not found at once.",
+            MODEM_MANAGER,
         )
     })
 }
 
-fn serial_ports(seen: &Seen, me: &Identity) -> Vec<Finding> {
+const MODEM_MANAGER: &str = "packaging/udev/60-unlit-flash.rules keeps it away from flash controllers; without it, \
+                             `sudo systemctl mask --now ModemManager`.";
+
+fn serial_ports(seen: &Seen, roots: &Roots, me: &Identity) -> Vec<Finding> {
     if seen.serial.is_empty() {
         let advice = "Plug the flash controller in, or shoot with `--flash manual`.";
         return vec![Finding::new(Level::Warning, "serial_none", "No serial port was found.", advice)];
     }
-    seen.serial.iter().map(|port| rights(port, me, "serial_rights", "serial port", DIALOUT)).collect()
+    let mut findings = Vec::new();
+    for port in &seen.serial {
+        findings.push(rights(port, me, "serial_rights", "serial port", SERIAL));
+        // Processes have the device open, whatever name it has here.
+        let node = port.canonicalize().unwrap_or_else(|_| port.clone());
+        findings.extend(system::holders(roots, &node).iter().map(|holder| serial_held(port, holder)));
+    }
+    findings
+}
+
+fn serial_held(port: &Path, Holder { name, id }: &Holder) -> Finding {
+    let shown = port.display();
+    let (level, sentence, advice) = match name.as_str() {
+        name if name.starts_with("unlit") => {
+            (Level::Ok, format!("unlit itself (process {id}) uses the serial port {shown}."), String::new())
+        }
+        "ModemManager" => (
+            Level::Problem,
+            format!("ModemManager (process {id}) holds the serial port {shown}, taking it for a modem."),
+            MODEM_MANAGER.to_owned(),
+        ),
+        name => (
+            Level::Problem,
+            format!("{name} (process {id}) holds the serial port {shown}."),
+            format!("Close it, or end it: `kill {id}`."),
+        ),
+    };
+    Finding::new(level, "serial_held", sentence, advice)
 }
 
 #[cfg(test)]

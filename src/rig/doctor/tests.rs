@@ -40,7 +40,13 @@ impl Machine {
     }
 
     fn roots(&self) -> Roots {
-        Roots { proc: self.path("proc"), usb: self.path("usb"), drivers: vec![self.path("lib")] }
+        Roots {
+            proc: self.path("proc"),
+            dev: self.path("dev"),
+            tty: self.path("tty"),
+            usb: self.path("usb"),
+            drivers: vec![self.path("lib")],
+        }
     }
 
     /// Somebody to whom none of the files belong.
@@ -117,11 +123,30 @@ fn nodes_that_may_not_be_used_come_with_what_to_do() {
     assert!(camera.level == Level::Problem && camera.advice.contains("udev"), "{camera:?}");
     let serial = find(&findings, "serial_rights");
     assert!(serial.level == Level::Problem && serial.advice.contains("dialout"), "{serial:?}");
+    assert!(serial.advice.contains("60-unlit-flash.rules"), "{serial:?}");
     // The group may.
     let group = fs::metadata(machine.folder.path()).unwrap().gid();
     let member = Identity { groups: vec![group], ..machine.stranger() };
     let findings = judge(&seen, &machine.roots(), &member);
     assert_eq!(find(&findings, "serial_rights").level, Level::Ok);
+}
+
+#[test]
+fn whoever_holds_the_serial_port_is_named_and_the_modem_manager_with_the_cure() {
+    let machine = Machine::new();
+    machine.node("usb/001/004", 0o666);
+    let node = machine.node("ttyACM0", 0o666);
+    let named = machine.path("usb-Arduino-if00");
+    std::os::unix::fs::symlink(&node, &named).unwrap();
+    machine.process(17, "ModemManager", &[&node]);
+    machine.process(23, "screen", &[&node]);
+    machine.process(29, "unlit", &[&node]);
+    let findings = machine.judge(&Seen { serial: vec![named], ..one_camera() });
+    let held: Vec<_> = findings.iter().filter(|f| f.code == "serial_held").collect();
+    assert_eq!(held.iter().map(|f| f.level).collect::<Vec<_>>(), [Level::Problem, Level::Problem, Level::Ok]);
+    assert!(held[0].advice.contains("60-unlit-flash.rules"), "{held:?}");
+    assert!(held[1].sentence.contains("screen") && held[1].advice.contains("kill 23"), "{held:?}");
+    assert!(find(&findings, "modem_manager").advice.contains("60-unlit-flash.rules"));
 }
 
 #[test]

@@ -47,11 +47,13 @@ impl Condition {
     pub(super) fn words(&self, port: &str, now: Instant) -> (bool, String) {
         if let Some((since, reason)) = &self.away {
             let seconds = now.saturating_duration_since(*since).as_secs();
+            // Only that name goes with the board; the others go with the socket.
+            let socket = if port.contains("/by-id/") { "at any socket" } else { "at the same socket" };
             return (
                 false,
                 format!(
                     "the flash controller has been gone for {seconds} s ({reason}); it is looked for at {port}. Plug \
-                     it in again, at any socket."
+                     it in again, {socket}."
                 ),
             );
         }

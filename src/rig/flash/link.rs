@@ -208,6 +208,14 @@ impl Link {
         }
     }
 
+    /// Takes in the lines that have come already, without waiting for more.
+    pub(super) fn catch_up(&mut self) -> Result<(), FlashError> {
+        while self.buffer.contains(&b'\n') {
+            self.listen()?;
+        }
+        Ok(())
+    }
+
     fn write(&mut self, bytes: &[u8]) -> Result<(), FlashError> {
         self.port.write_all(bytes).map_err(|error| self.lost(&error.to_string()))
     }

@@ -61,7 +61,7 @@ pub(super) struct Pins {
     /// Bytes sent and not yet fetched.
     sent: Vec<u8>,
     /// The gate between the sync contact and the trigger.
-    gate_open: bool,
+    pub(super) gate_open: bool,
     /// Level of the trigger.
     trigger_high: bool,
     /// How often the trigger rose.

@@ -9,6 +9,8 @@ mod core;
 mod ledger;
 mod light;
 #[cfg(test)]
+mod model;
+#[cfg(test)]
 mod tests;
 
 pub use self::ledger::Rise;

@@ -1,5 +1,7 @@
 //! The firmware core on a bench with a clock of its own: every promise of `firmware/PROTOCOL.md`.
 
+mod light;
+
 use super::core::{Config, Core};
 use crate::rig::flash::line::{self, Event, Fields, Line};
 
@@ -343,38 +345,63 @@ fn no_flash_is_triggered_more_than_twenty_times_a_second() {
 }
 
 #[test]
-fn dark_level_is_kept_in_sixteenths() {
+fn an_edge_later_than_the_polls_time_ends_neither_its_pulse_nor_its_shot() {
     let mut bed = Bed::greeted();
-    for i in 0..20_000 {
-        bed.core.light_sample(12 + u16::from(i % 4 == 0)); // mean 12.25
-    }
-    bed.edge();
-    for i in 0..1538 {
-        bed.core.light_sample(12 + u16::from(i % 4 == 0));
-    }
-    bed.wait_ms(60);
-    let shot = bed.take_events("shot").remove(0);
-    let dark = shot.uint("b").unwrap();
-    assert!((195..=197).contains(&dark), "{dark} sixteenths, expected 196");
-    assert!(shot.uint("e").unwrap() < 100, "a whole count of error would add up to 384");
+    bed.ok("arm tag=1 ttl=1000");
+    assert!(bed.core.sync_edge(bed.now + 40));
+    bed.core.poll(bed.now);
+    assert!(bed.core.trigger_high(), "an interrupt came after the main loop read the clock");
+    bed.heard();
+    assert!(bed.take_events("shot").is_empty());
+    bed.wait_ms(40);
+    assert_eq!(bed.take_events("shot").len(), 1);
 }
 
 #[test]
-fn light_is_summed_above_dark() {
+fn a_fire_that_waited_for_a_shot_keeps_its_pulse() {
     let mut bed = Bed::greeted();
-    bed.ok("arm tag=1 ttl=1000");
+    bed.ok("fire d=1000 tag=9");
     bed.edge();
-    for _ in 0..100 {
-        bed.core.light_sample(12 + 500);
+    bed.now += 30_000;
+    bed.core.poll(bed.now); // tells the shot, and would be late by its writing
+    bed.now += 4000;
+    bed.core.poll(bed.now);
+    assert!(bed.core.trigger_high());
+    bed.now += 900;
+    bed.core.poll(bed.now);
+    assert!(bed.core.trigger_high(), "a pulse of 1 ms");
+    bed.heard();
+    assert_eq!(bed.core.rises(), 1);
+}
+
+#[test]
+fn settings_do_not_change_under_a_trigger_that_is_high() {
+    let mut bed = Bed::greeted();
+    bed.ok("cfg lock=1 win=1000 pulse=20000");
+    bed.ok("fire");
+    bed.wait_ms(5);
+    assert_eq!(bed.refused("cfg pulse=10").0, 11);
+    bed.wait_ms(20);
+    bed.ok("cfg pulse=10");
+}
+
+#[test]
+fn a_flash_that_is_not_charged_for_hours_is_not_ready_until_it_is() {
+    let mut bed = Bed::greeted();
+    bed.ok("cfg rdy=1");
+    bed.ok("fire");
+    bed.wait_ms(100);
+    bed.core.pins().charged = false;
+    for _ in 0..90 * 60 {
+        bed.now = bed.now.wrapping_add(1_000_000);
+        bed.core.poll(bed.now);
     }
-    for _ in 0..3 {
-        bed.core.light_sample(1023);
-    }
-    bed.wait_ms(60);
-    let shot = bed.take_events("shot").remove(0);
-    let number = |key| shot.uint(key).unwrap();
-    assert_eq!(number("e"), 100 * 500 + 3 * (1023 - 12));
-    assert_eq!((number("pk"), number("w"), number("c"), number("b")), (1011, 103, 3, 12 * 16));
+    assert!(bed.heard().is_empty() && bed.take_events("ready").is_empty());
+    assert_eq!(bed.refused("arm tag=1 ttl=1000").0, 10);
+    bed.core.pins().charged = true;
+    bed.wait_ms(1);
+    assert_eq!(bed.take_events("ready").len(), 1);
+    bed.ok("arm tag=1 ttl=1000");
 }
 
 #[test]

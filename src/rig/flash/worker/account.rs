@@ -87,6 +87,9 @@ impl Account {
 impl Worker {
     /// Takes the events that came.
     pub(super) fn attend(&mut self) -> Result<(), FlashError> {
+        if let Some(link) = &mut self.link {
+            link.catch_up()?;
+        }
         while let Some(event) = self.link.as_mut().and_then(|link| link.events.pop_front()) {
             self.take(&event)?;
         }
@@ -114,8 +117,14 @@ impl Worker {
             }
             "disarm" => {
                 let why = event.fields.word("why").unwrap_or("unknown").to_owned();
+                let silenced = why == "silence";
+                if silenced {
+                    self.tell_broken(
+                        "this computer was silent for too long, and the gate closed; take this frame again",
+                    );
+                }
                 self.shared.update(|state| {
-                    state.condition.silenced |= why == "silence";
+                    state.condition.silenced |= silenced;
                     state.condition.armed_until = None;
                 });
                 FlashNews::Disarm { why }
@@ -263,10 +272,18 @@ impl Worker {
         }
         let done = self.set_up(hello).and_then(|()| self.fetch_up_to(hello.shots));
         match &done {
-            Ok(()) => self.shared.update(|state| {
-                state.condition.away = None;
-                state.condition.armed_until = None;
-            }),
+            Ok(()) => {
+                let robbed = self.shared.update(|state| {
+                    state.condition.away = None;
+                    let armed = state.condition.armed_until.take().is_some();
+                    armed && !state.shots.iter().any(|sync| sync.triggered)
+                });
+                if robbed && same {
+                    self.tell_broken(
+                        "the link broke while the gate was open, which closed it; take this frame again",
+                    );
+                }
+            }
             // A board without its settings is none to shoot with.
             Err(_) => self.give_up(),
         }

@@ -310,7 +310,6 @@ impl Worker {
         self.shared.update(|state| {
             let since = state.condition.away.take().map_or_else(Instant::now, |(since, _)| since);
             state.condition.away = Some((since, reason.clone()));
-            state.condition.armed_until = None;
         });
         self.shared.tell(FlashNews::Lost { reason });
     }

@@ -1,4 +1,5 @@
-//! What the system's own folders tell: who has a device open, who may use it, which drivers are installed.
+//! What the system's own folders tell: who has a device open, who may use it, which drivers are installed. All are
+//! plain paths ([`Roots`]), so that tests look at folders of their own.
 
 use std::io;
 use std::os::unix::fs::MetadataExt;
@@ -9,6 +10,10 @@ use std::path::{Path, PathBuf};
 pub struct Roots {
     /// `/proc`.
     pub proc: PathBuf,
+    /// `/dev`.
+    pub dev: PathBuf,
+    /// `/sys/class/tty`.
+    pub tty: PathBuf,
     /// `/dev/bus/usb`.
     pub usb: PathBuf,
     /// Folders in which libgphoto2's port drivers may lie, each with one folder a version; `IOLIBS` alone if set.
@@ -29,7 +34,13 @@ impl Default for Roots {
             .map(|lib| Path::new(lib).join("libgphoto2_port"))
             .into(),
         };
-        Self { proc: "/proc".into(), usb: "/dev/bus/usb".into(), drivers }
+        Self {
+            proc: "/proc".into(),
+            dev: "/dev".into(),
+            tty: "/sys/class/tty".into(),
+            usb: "/dev/bus/usb".into(),
+            drivers,
+        }
     }
 }
 
@@ -79,10 +90,12 @@ pub(super) fn may_use(node: &Path, me: &Identity) -> io::Result<bool> {
 }
 
 /// A process that has a device open.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Holder {
-    pub(super) name: String,
-    pub(super) id: u32,
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Holder {
+    /// Its name, cut at 15 letters by the kernel.
+    pub name: String,
+    /// Its number.
+    pub id: u32,
 }
 
 /// All processes: name and id.
