@@ -73,7 +73,7 @@ fn program(folder: &Path, length: usize) -> (PathBuf, Vec<u8>) {
     let bytes: Vec<u8> = (0..length).map(|k| (k * 7 + k / 256) as u8).collect();
     let mut text = String::new();
     for (row, data) in bytes.chunks(16).enumerate() {
-        let mut record = vec![data.len() as u8, (row * 16 >> 8) as u8, (row * 16) as u8, 0];
+        let mut record = vec![data.len() as u8, ((row * 16) >> 8) as u8, (row * 16) as u8, 0];
         record.extend(data);
         let sum = record.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)).wrapping_neg();
         record.push(sum);
