@@ -81,7 +81,7 @@ impl LampOptions {
         if !cools {
             return Err("heat of the simulated flash: time constant and limit above 0, loss not below 0");
         }
-        if !(0.0..1.0).contains(&self.droop) || !(self.clock > 0.0 && self.clock.is_finite()) {
+        if !((0.0..1.0).contains(&self.droop) && self.clock > 0.0 && self.clock.is_finite()) {
             return Err("droop of the simulated flash: a share in 0..1; its clock's factor: above 0");
         }
         Ok(())
