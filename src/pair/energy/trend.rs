@@ -185,7 +185,8 @@ fn pulses(pairs: &[PairRecord], scale: &EnergyScale) -> Vec<TrendPulse> {
         let at = flash.pulse().and_then(|sync| sync.at);
         let rest = at.zip(before).map(|(at, before)| at - before).filter(|rest| *rest > 0.0);
         if flash.pulses_on() + flash.pulses_off() > 0 {
-            before = flash.on.iter().chain(&flash.off).filter(|s| s.triggered).filter_map(|s| s.at).last();
+            before =
+                flash.on.iter().chain(&flash.off).filter(|s| s.triggered).filter_map(|s| s.at).next_back();
         }
         let energy = flash.energy_counts().filter(|_| pair.verdict == Verdict::Accepted);
         if let Some((energy_counts, FlashGain { value, deviation })) =
