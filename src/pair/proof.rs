@@ -117,7 +117,7 @@ mod tests {
             triggered,
             tag,
             at: None,
-            energy_counts: if lit { 1000.0 } else { -3.0 },
+            energy_counts: if lit { 90_000.0 } else { -3.0 },
             peak_counts: 0.0,
             dark_counts: 12.0,
             lit_samples: if lit { 200 } else { 0 },

@@ -216,7 +216,7 @@ impl Camera for FakeCamera {
                 energy_counts: if lit { 1000.0 } else { 1.0 },
                 peak_counts: if lit { 600.0 } else { 0.0 },
                 dark_counts: 12.0,
-                lit_samples: if lit { 200 } else { 0 },
+                lit_samples: if lit { 100 } else { 0 },
                 clipped_samples: 0,
                 bounces: 0,
             });
