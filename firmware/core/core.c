@@ -69,10 +69,19 @@ void core_init(struct core *core, const struct core_hal *hal, const struct core_
     send_event(core);
 }
 
-void core_configure(struct core *core, const struct core_config *cfg)
+bool core_configure(struct core *core, const struct core_config *cfg)
 {
-    core->cfg = *cfg;
-    core->samples_wanted = (uint16_t)(cfg->win_us / CORE_SAMPLE_US);
+    const uint16_t samples = (uint16_t)(cfg->win_us / CORE_SAMPLE_US); /* a division is too long to hold for */
+    /* An edge comes before, and its shot keeps its settings, or after, and has the new ones. */
+    const struct core_hal *hal = core->hal;
+    hal->hold(hal->ctx, true);
+    const bool free = core->measuring == 0;
+    if (free) {
+        core->cfg = *cfg;
+        core->samples_wanted = samples;
+    }
+    hal->hold(hal->ctx, false);
+    return free;
 }
 
 size_t core_size(void)

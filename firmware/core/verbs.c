@@ -83,11 +83,11 @@ static enum line_error cfg(struct core *core, struct line_request *request, stru
         return LINE_ARG;
     }
     /* Times that run are not changed under way. */
-    if (request->count > 0 && (core->armed || core->fire_pending || core->measuring != 0 || core->trigger_high != 0)) {
+    next.rdy = (uint8_t)rdy;
+    if (request->count > 0 &&
+        (core->armed || core->fire_pending || core->trigger_high != 0 || !core_configure(core, &next))) {
         return LINE_BUSY;
     }
-    next.rdy = (uint8_t)rdy;
-    core_configure(core, &next);
     line_pair(reply, TEXT("sil"), next.sil_ms);
     line_pair(reply, TEXT("pulse"), next.pulse_us);
     line_pair(reply, TEXT("lock"), next.lock_ms);
