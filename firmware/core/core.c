@@ -320,12 +320,15 @@ void core_poll(struct core *core, uint32_t now_us)
         why = TEXT("silence");
     } else if (core->armed && passed(now_us, core->armed_at, core->arm_ttl_us)) {
         why = TEXT("ttl");
+    } else if (core->fire_pending && passed(now_us, core->fire_from, core->fire_delay_us + CORE_LATE_MS * 1000ul)) {
+        why = TEXT("late");
     }
     if (why != NULL) {
         core_safe(core);
     }
     /* Before anything is written, which takes milliseconds: now_us must still be true. */
-    if (core->fire_pending && passed(now_us, core->fire_from, core->fire_delay_us) && core->locked == 0) {
+    if (core->fire_pending && passed(now_us, core->fire_from, core->fire_delay_us) && core->locked == 0 &&
+        core_charged(core)) {
         fire_now(core, now_us);
     }
     /* The interrupt may have used the gate just before it was closed; then that is what happened. */

@@ -44,6 +44,7 @@ enum {
     CORE_LIGHT_THRESHOLD = 8,  /* counts above dark that are light */
     CORE_ADC_FULL = 1023,      /* a sample of this value is clipped */
     CORE_ADC_NONE = 0x7FFF,    /* no sample */
+    CORE_LATE_MS = 50,         /* a fire that could not come for so long after its time is cancelled */
     CORE_TRIGGER_GAP_MS = 50,  /* no flash takes more than 20 triggers a second */
     CORE_STUCK_MS = 2000       /* a contact closed for longer is stuck */
 };

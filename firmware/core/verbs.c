@@ -22,7 +22,7 @@ static enum line_error hello(struct core *core, struct line_request *request, ui
     core->greeted = true;
     core->strict = strict == 1;
     line_pair(reply, TEXT("v"), 1);
-    line_word(reply, TEXT("fw"), TEXT("1.1"));
+    line_word(reply, TEXT("fw"), TEXT("1.2"));
     line_word(reply, TEXT("mcu"), core->hal->mcu);
     line_pair(reply, TEXT("boot"), core->boot);
     line_pair(reply, TEXT("rst"), core->rst);

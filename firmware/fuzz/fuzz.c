@@ -18,13 +18,15 @@ enum { FRAME_MAX = 200, BLOCKS_BETWEEN = 400 };
 static struct core core;
 static struct {
     uint64_t random;
-    uint64_t frames, edges, fires, arms, lit_syncs, replies, errors, events, boots, nested, in_blocks, measured;
+    uint64_t frames, edges, fires, arms, lit_syncs, replies, errors, events, boots, nested, in_blocks, measured, late;
     uint32_t now;
     bool gate, trigger, held, in_interrupt, closed, charged, greeted, quiet;
     uint32_t blocks_left; /* until the next interrupt inside a basic block */
     /* The window of the shot that is measured: what it may take, and what it took. */
     uint32_t wanted, taken, sum;
     bool fire_due; /* an accepted fire that nothing has cancelled */
+    uint32_t fire_from, fire_delay;
+    uint32_t told_now; /* the time that the core was given last */
     uint32_t rose_at, shot_at, armed_at, armed_ttl, life_at;
     uint32_t junk; /* frames to come from a host that has lost its mind */
     bool ever_rose, seen_high;
@@ -182,6 +184,11 @@ static void judge_shot(const char *line)
     bench.measured += m > 0;
 }
 
+static uint32_t since_fire(void)
+{
+    return bench.told_now - bench.fire_from;
+}
+
 static void hal_send(void *ctx, const char *line, uint8_t length, bool event)
 {
     (void)ctx;
@@ -204,8 +211,13 @@ static void hal_send(void *ctx, const char *line, uint8_t length, bool event)
             bench.shots_told++;
             judge_shot(line);
         }
-        /* A delayed fire is cancelled by silence, which says so. */
-        if (strncmp(strchr(line, ' '), " disarm why=silence", 19) == 0) {
+        /* A delayed fire is cancelled by silence and by being late, which say so. */
+        const char *said = strchr(line, ' ');
+        if (strncmp(said, " disarm why=late", 16) == 0) {
+            must(bench.fire_due && since_fire() >= bench.fire_delay + CORE_LATE_MS * 1000u, "a fire cancelled early");
+            bench.fire_due = false;
+            bench.late++;
+        } else if (strncmp(said, " disarm why=silence", 19) == 0) {
             bench.fire_due = false;
         }
     } else {
@@ -222,6 +234,9 @@ static void hal_trigger(void *ctx, bool high)
     (void)ctx;
     if (high) {
         must(bench.held && bench.fire_due && bench.greeted, "a trigger that nobody asked for");
+        must(core.cfg.rdy == 0 || bench.charged, "fired a flash that is not charged"); /* inside: whether it is asked */
+        must(since_fire() >= bench.fire_delay, "a fire before its time");
+        must(since_fire() < bench.fire_delay + CORE_LATE_MS * 1000u, "a fire long after its time");
         rise();
         bench.fire_due = false;
         bench.fires++;
@@ -314,6 +329,7 @@ static void poll_and_check(void)
         bench.seen_high = true;
         bench.seen_high_at = now;
     }
+    bench.told_now = now;
     core_poll(&core, now);
     bench.quiet = true; /* the questions themselves must not be overtaken */
     if (bench.trigger && bench.seen_high) {
@@ -382,7 +398,10 @@ static void judge_frame(size_t length)
         bench.fire_due = false;
     }
     if (strcmp(bench.verb, "fire") == 0) {
+        const char *delay = strstr(bench.frame, " d=");
         bench.fire_due = true;
+        bench.fire_from = bench.told_now;
+        bench.fire_delay = delay != NULL ? (uint32_t)strtoul(delay + 3, NULL, 10) : 0;
     }
 }
 
@@ -409,12 +428,14 @@ static void feed(const char *bytes, size_t length)
         bench.replay = false;
     }
     for (size_t i = 0; i < length; i++) {
-        core_rx(&core, (uint8_t)bytes[i], bench.now);
+        bench.told_now = bench.now;
+        core_rx(&core, (uint8_t)bytes[i], bench.told_now);
     }
     if (!bench.gate) {
         bench.armed_at = bench.now;
     }
-    core_rx(&core, '\n', bench.now);
+    bench.told_now = bench.now;
+    core_rx(&core, '\n', bench.told_now);
     bench.frames++;
     if (whole && plain) {
         judge_frame(kept);
@@ -544,11 +565,12 @@ int main(int count, char **arguments)
     }
     printf("%llu frames in %.1f s: %llu answers (%llu refusals), %llu events, %llu edges, %llu interrupts inside the core "
            "(%llu between two blocks), %llu windows measured, "
-           "%llu arms, %llu syncs let through, %llu fires, %llu boots\n",
+           "%llu arms, %llu syncs let through, %llu fires, %llu too late, %llu boots\n",
            (unsigned long long)bench.frames, (double)(clock() - begun) / CLOCKS_PER_SEC,
            (unsigned long long)bench.replies, (unsigned long long)bench.errors, (unsigned long long)bench.events,
            (unsigned long long)bench.edges, (unsigned long long)bench.nested, (unsigned long long)bench.in_blocks,
            (unsigned long long)bench.measured, (unsigned long long)bench.arms,
-           (unsigned long long)bench.lit_syncs, (unsigned long long)bench.fires, (unsigned long long)bench.boots);
+           (unsigned long long)bench.lit_syncs, (unsigned long long)bench.fires, (unsigned long long)bench.late,
+           (unsigned long long)bench.boots);
     return 0;
 }

@@ -305,6 +305,48 @@ fn a_sync_beside_a_pending_fire_stays_dark_and_the_fire_waits_its_turn() {
 }
 
 #[test]
+fn a_fire_that_a_closed_contact_holds_up_is_cancelled_and_does_not_come_when_it_opens() {
+    let mut bed = Bed::greeted();
+    bed.ok("fire d=100000 tag=9");
+    bed.core.pins().sync_closed = true;
+    assert!(!bed.edge());
+    bed.wait_us(149_500);
+    assert!(bed.disarm_reasons().is_empty());
+    bed.wait_us(1000);
+    assert_eq!(bed.disarm_reasons(), ["late"]);
+    assert_eq!(bed.ok("stat").uint("fire"), Some(0));
+    for _ in 0..3 {
+        bed.wait_ms(1000);
+        bed.ok("ping");
+    }
+    bed.core.pins().sync_closed = false;
+    bed.wait_ms(1000);
+    assert_eq!(bed.core.rises(), 0);
+    bed.ok("fire");
+    bed.wait_ms(1);
+    assert_eq!(bed.core.rises(), 1);
+}
+
+#[test]
+fn a_fire_asks_the_ready_output_again_when_its_moment_comes() {
+    let mut bed = Bed::greeted();
+    bed.ok("cfg rdy=1");
+    bed.ok("fire d=100000 tag=1");
+    bed.core.pins().charged = false;
+    bed.wait_ms(151);
+    assert_eq!((bed.disarm_reasons(), bed.core.rises()), (vec!["late".to_owned()], 0));
+    bed.core.pins().charged = true;
+    bed.wait_ms(500);
+    assert_eq!(bed.core.rises(), 0, "cancelled for good");
+    bed.ok("fire d=100000 tag=2");
+    bed.core.pins().charged = false;
+    bed.wait_ms(120);
+    bed.core.pins().charged = true;
+    bed.wait_ms(1);
+    assert_eq!(bed.core.rises(), 1, "charged 20 ms late is in time");
+}
+
+#[test]
 fn arm_and_fire_honour_the_recycle_time() {
     let mut bed = Bed::greeted();
     bed.ok("arm tag=1 ttl=1000");
