@@ -74,7 +74,7 @@ pub enum CaptureError {
     },
     /// A series of frames that clip.
     #[error(
-        "shot {shot} of the series is clipped all over the region in at least one colour; close the aperture or lower flash power and sensitivity"
+        "shot {shot} of the series clips: a colour has no unclipped site in the region, or the light rose by far since the first shot; close the aperture or lower flash power and sensitivity"
     )]
     SeriesClipped {
         /// Number of the shot.

@@ -267,8 +267,7 @@ impl<'a> CardPlace<'a> {
             .find(|name| !shots_dir(session).join(name).exists())
             .unwrap_or_default();
         let tag = u32::try_from(taken.len()).unwrap_or(u32::MAX - 1).saturating_add(1);
-        let sees_light =
-            taken.iter().filter_map(|shot| shot.flash.as_ref()?.energy_counts()).next().is_some();
+        let sees_light = taken.iter().filter_map(|shot| shot.flash.as_ref()).any(FlashRecord::saw_light);
         let saturation = Arc::new(saturation::load(session)?);
         Ok(Self { session, distance_m, saturation, name, tag, sees_light, stored: None })
     }

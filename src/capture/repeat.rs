@@ -29,6 +29,8 @@ use std::collections::HashSet;
 const TAGS: u32 = 0x8000_0000;
 /// Shots that fail in a row before the series is given up.
 const MOST_FAILURES_IN_A_ROW: u32 = 3;
+/// Share of the range below which a site of the first lit frame is safe from clipping in the others.
+const SAFE: f32 = 0.85;
 /// Where the light is averaged when the session has no region.
 const MIDDLE: Window = Window { x: 0.25, y: 0.25, width: 0.5, height: 0.5 };
 
@@ -58,9 +60,11 @@ enum Outcome {
 struct Shot {
     off: Mosaic,
     on: Mosaic,
-    settings: Settings,
+    /// Of the unlit and of the lit frame.
+    settings: [Settings; 2],
     at: Option<f64>,
     energy_counts: f64,
+    dark_energy_counts: f64,
 }
 
 /// What the shots of a series share.
@@ -68,10 +72,20 @@ struct Series<'a> {
     measured: &'a SaturationTable,
     window: Window,
     left_out: u32,
-    /// Settings of the first lit frame, and the sensor's noise measured on its shot.
-    first: Option<(Settings, NoiseModel)>,
+    /// What the first shot tells.
+    first: Option<First>,
     /// Digests of the files that came, by which one that comes again is known.
     files: HashSet<String>,
+}
+
+/// What the first shot of a series fixes for the others.
+struct First {
+    /// Of its lit frame.
+    settings: Settings,
+    noise: NoiseModel,
+    /// The sites that are averaged in every shot: far enough from clipping to stay unclipped in all of them. Were they
+    /// chosen shot by shot, bright shots would lose their brightest sites, and look steadier than they are.
+    sites: Image<bool>,
 }
 
 impl Engine {
@@ -97,7 +111,7 @@ impl Engine {
         hands.disarm();
         drop(bench);
         let result = repeatability(&taken?)?;
-        let settings = series.first.map(|(settings, _)| settings).unwrap_or_default();
+        let settings = series.first.map(|first| first.settings).unwrap_or_default();
         let (taken, left_out) = (utc_now(), series.left_out);
         keep(session, &RepeatReport { taken, settings, region: window, left_out, result: result.clone() })?;
         Ok(result)
@@ -191,11 +205,15 @@ impl Hands<'_> {
                     .into(),
             }));
         };
+        // Of dark syncs, most often one, the mean.
+        let dark_energy_counts =
+            record.off.iter().map(|sync| sync.energy_counts).sum::<f64>() / record.off.len().max(1) as f64;
         let off = series.decode(&off);
         let on = series.decode(&on);
         Ok(match (off, on) {
-            (Ok((off, _)), Ok((on, settings))) => {
-                Outcome::Good(Box::new(Shot { off, on, settings, at, energy_counts }))
+            (Ok((off, unlit)), Ok((on, lit))) => {
+                let settings = [unlit, lit];
+                Outcome::Good(Box::new(Shot { off, on, settings, at, energy_counts, dark_energy_counts }))
             }
             (Err(reason), _) | (_, Err(reason)) => Outcome::LeftOut(reason),
         })
@@ -219,28 +237,38 @@ impl Series<'_> {
     /// The figures of a shot; the reason why they do not count, if the camera was set otherwise than for the first.
     fn reading(&mut self, number: u32, shot: &Shot) -> Result<Result<RepeatShot, Reason>, CaptureError> {
         let exposure = |settings: &Settings| (settings.shutter, settings.aperture, settings.iso);
-        let noise = match &self.first {
-            Some((first, _)) if exposure(first) != exposure(&shot.settings) => {
-                return Ok(Err(Reason {
-                    code: ReasonCode::SettingsChanged,
-                    figure: 1.0,
-                    limit: 0.0,
-                    sentence:
-                        "The camera's settings differ from those of the first shot; leave the camera alone."
-                            .into(),
-                }));
-            }
-            Some((_, noise)) => *noise,
-            None => {
-                let noise = NoiseModel::measure(&[shot.off.clone(), shot.on.clone()])?;
-                self.first = Some((shot.settings.clone(), noise));
-                noise
-            }
+        let first = match &mut self.first {
+            Some(first) => first,
+            empty => empty.insert(First {
+                settings: shot.settings[1].clone(),
+                noise: NoiseModel::measure(&[shot.off.clone(), shot.on.clone()])?,
+                sites: safe_sites(&shot.on),
+            }),
         };
-        let known = isolate(&shot.on, &shot.off, 1.0, &noise)?;
-        let (light, light_error) = mean_light(&known).ok_or(CaptureError::SeriesClipped { shot: number })?;
-        Ok(Ok(RepeatShot { number, at: shot.at, light, light_error, energy_counts: shot.energy_counts }))
+        if shot.settings.iter().any(|settings| exposure(settings) != exposure(&first.settings)) {
+            return Ok(Err(Reason {
+                code: ReasonCode::SettingsChanged,
+                figure: 1.0,
+                limit: 0.0,
+                sentence:
+                    "The camera's settings differ from those of the first shot; leave the camera alone."
+                        .into(),
+            }));
+        }
+        let known = isolate(&shot.on, &shot.off, 1.0, &first.noise)?;
+        let (light, light_error) =
+            mean_light(&known, &first.sites).ok_or(CaptureError::SeriesClipped { shot: number })?;
+        let Shot { at, energy_counts, dark_energy_counts, .. } = *shot;
+        Ok(Ok(RepeatShot { number, at, light, light_error, energy_counts, dark_energy_counts }))
     }
+}
+
+/// Sites of a lit frame that no later shot of a flash this steady can clip.
+fn safe_sites(on: &Mosaic) -> Image<bool> {
+    Image::from_fn(on.dn.width(), on.dn.height(), |x, y| {
+        let (black, saturation) = (on.levels.black[y & 1][x & 1], on.levels.saturation[y & 1][x & 1]);
+        f32::from(*on.dn.at(x, y)) - black < SAFE * (saturation - black)
+    })
 }
 
 /// The sites of a window, whole cells of the filter array, so that colours and levels stay as they are.
@@ -251,21 +279,19 @@ fn part(frame: &Mosaic, window: Window) -> Mosaic {
     Mosaic { dn, cfa: frame.cfa, levels: frame.levels }
 }
 
-/// Mean and its standard error of each colour over the sites that do not clip; `None` if a colour has none.
-fn mean_light(known: &KnownMosaic) -> Option<([f64; 3], [f64; 3])> {
-    let (mut light, mut variance, mut sites) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+/// Mean and its standard error of each colour over the given sites; `None` if one of them clips, or a colour has none.
+fn mean_light(known: &KnownMosaic, sites: &Image<bool>) -> Option<([f64; 3], [f64; 3])> {
+    let (mut light, mut variance, mut count) = ([0.0; 3], [0.0; 3], [0.0; 3]);
     for y in 0..known.value.height() {
-        for x in 0..known.value.width() {
-            if let Some(value) = known.value.at(x, y) {
-                let colour = known.cfa.colour(x, y);
-                light[colour] += f64::from(*value);
-                variance[colour] += f64::from(*known.variance.at(x, y));
-                sites[colour] += 1.0;
-            }
+        for x in (0..known.value.width()).filter(|x| *sites.at(*x, y)) {
+            let colour = known.cfa.colour(x, y);
+            light[colour] += f64::from((*known.value.at(x, y))?);
+            variance[colour] += f64::from(*known.variance.at(x, y));
+            count[colour] += 1.0;
         }
     }
-    sites.iter().all(|n| *n > 0.0).then(|| {
-        let of = |c: usize| (light[c] / sites[c], variance[c].sqrt() / sites[c]);
+    count.iter().all(|n| *n > 0.0).then(|| {
+        let of = |c: usize| (light[c] / count[c], variance[c].sqrt() / count[c]);
         let [r, g, b] = [of(0), of(1), of(2)];
         ([r.0, g.0, b.0], [r.1, g.1, b.1])
     })
@@ -322,13 +348,34 @@ mod tests {
         });
         let [off, on] = [&off, &on].map(|f| part(f, MIDDLE));
         assert_eq!((on.dn.width(), on.dn.height()), (32, 24));
-        let (mean, error) = mean_light(&isolate(&on, &off, 1.0, &noise).unwrap()).unwrap();
+        let sites = safe_sites(&on);
+        let (mean, error) = mean_light(&isolate(&on, &off, 1.0, &noise).unwrap(), &sites).unwrap();
         assert_eq!(mean, [1000.0, 2000.0, 3000.0]);
         // Two frames of variance 4 over 191, 384 and 192 sites.
         for (error, sites) in error.into_iter().zip([191.0, 384.0, 192.0]) {
             assert!((error - (8.0_f64 / sites).sqrt()).abs() < 1e-9, "{error} for {sites} sites");
         }
-        let blown = frame(|_, _| 15300);
-        assert_eq!(mean_light(&isolate(&blown, &blown, 1.0, &noise).unwrap()), None);
+        let blown = part(&frame(|_, _| 15300), MIDDLE);
+        let known = isolate(&blown, &off, 1.0, &noise).unwrap();
+        assert_eq!(mean_light(&known, &sites), None, "a site that was safe clips");
+        assert_eq!(mean_light(&known, &safe_sites(&blown)), None, "no site is safe");
+    }
+
+    #[test]
+    fn sites_near_saturation_do_not_make_a_flash_look_steady() {
+        let noise = NoiseModel { gain: 0.0, floor: 4.0 };
+        let off = frame(|_, _| 2048);
+        // A tenth of the sites ends just below saturation at nominal energy.
+        let shot = |energy: f64| {
+            frame(|x, y| {
+                let light = if (x / 2 + y / 2) % 10 == 0 { 12_900.0 } else { 6_000.0 };
+                (2048.0 + light * energy).min(15300.0) as u16
+            })
+        };
+        let sites = safe_sites(&shot(1.0));
+        let mean =
+            |energy: f64| mean_light(&isolate(&shot(energy), &off, 1.0, &noise).unwrap(), &sites).unwrap().0;
+        let (low, high) = (mean(0.97), mean(1.03));
+        assert!((high[1] / low[1] / (1.03 / 0.97) - 1.0).abs() < 1e-3, "{low:?} {high:?}");
     }
 }

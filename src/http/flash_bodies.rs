@@ -57,6 +57,8 @@ pub(super) struct RepeatabilityBody {
     corrected_error: f64,
     /// Part of both that is the sensor's noise.
     sensor_noise: f64,
+    /// Part of `corrected` that is the photodiode's reading.
+    reading_noise: f64,
 }
 
 impl From<Repeatability> for RepeatabilityBody {
@@ -68,6 +70,7 @@ impl From<Repeatability> for RepeatabilityBody {
             corrected: run.corrected,
             corrected_error: run.corrected_error,
             sensor_noise: run.sensor_noise,
+            reading_noise: run.reading_noise,
         }
     }
 }
@@ -81,6 +84,8 @@ pub(super) struct FlashAccountBody {
     advice: Vec<AdviceBody>,
     /// Pairs that a flash controller watched.
     pairs: usize,
+    /// Those whose frames are both proven by its events and its photodiode.
+    proven: usize,
     /// Those that were rejected for their lighting.
     misfires: usize,
     /// Against what gains are counted; absent before a pulse was measured.
@@ -110,6 +115,7 @@ impl From<FlashAccount> for FlashAccountBody {
                 .map(|a| AdviceBody { code: a.code, sentence: a.sentence })
                 .collect(),
             pairs: trend.pairs,
+            proven: trend.proven,
             misfires: trend.misfires,
             reference: scale.reference.map(|r| ReferenceBody { counts: r.counts, source: r.source }),
             spread: trend.spread,

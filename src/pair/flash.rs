@@ -3,6 +3,14 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Least samples above the threshold that a pulse has: a quarter of a millisecond, half the shortest time constant of
+/// the photodiode's circuit. Fewer are a spark of interference.
+const LEAST_LIT_SAMPLES: u32 = 20;
+/// Least mean light of those samples, counts, all other light of the window counted in. A pulse's are 8 counts (the
+/// board's threshold) above dark each, and the rest of its window is dark; the flicker of a lamp is as often below its
+/// mean as above.
+const LEAST_MEAN_COUNTS: f64 = 6.0;
+
 /// What set a shot of the controller off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -33,7 +41,8 @@ pub struct FlashSync {
     pub peak_counts: f64,
     /// Dark level before the sync, counts.
     pub dark_counts: f64,
-    /// Samples above the light threshold; 0 means that no light came, whatever `energy_counts` says.
+    /// Samples above the light threshold. Interference and the room's flicker give some, too: see
+    /// [`FlashSync::light`].
     pub lit_samples: u32,
     /// Samples at the converter's end, whose light is not known: the energy is too low then.
     pub clipped_samples: u32,
@@ -42,14 +51,16 @@ pub struct FlashSync {
 }
 
 impl FlashSync {
-    /// Energy of the pulse in counts; `None` when no light was seen.
+    /// Energy of the pulse in counts; `None` when what was seen, if anything, was no pulse.
     pub fn light(&self) -> Option<f64> {
-        (self.lit_samples > 0).then_some(self.energy_counts)
+        let pulse = self.lit_samples >= LEAST_LIT_SAMPLES
+            && self.energy_counts >= LEAST_MEAN_COUNTS * f64::from(self.lit_samples);
+        pulse.then_some(self.energy_counts)
     }
 
     /// [`FlashSync::light`] if it can be measured with: the converter did not clip.
     pub fn measured(&self) -> Option<f64> {
-        self.light().filter(|e| self.clipped_samples == 0 && *e > 0.0)
+        self.light().filter(|_| self.clipped_samples == 0)
     }
 }
 
@@ -79,6 +90,11 @@ impl FlashRecord {
         triggered.next().filter(|_| triggered.next().is_none())
     }
 
+    /// Whether the photodiode saw the pulse of the lit frame, measured or not.
+    pub fn saw_light(&self) -> bool {
+        self.pulse().is_some_and(|pulse| pulse.light().is_some())
+    }
+
     /// What the account proves, in one sentence.
     pub fn words(&self) -> String {
         let dark = match (self.off.len(), self.off.iter().any(|s| s.triggered || s.light().is_some())) {
@@ -101,5 +117,45 @@ impl FlashRecord {
     /// Energy of that pulse in the board's counts, where it was measured.
     pub fn energy_counts(&self) -> Option<f64> {
         self.pulse().and_then(FlashSync::measured)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the board would report of light that varies like this over the samples of a window.
+    fn seen(light: impl Fn(f64) -> f64) -> FlashSync {
+        let samples: Vec<f64> = (0..1538).map(|i| light(f64::from(i) * 13e-6)).collect();
+        FlashSync {
+            number: 1,
+            source: SyncSource::Contact,
+            triggered: false,
+            tag: 0,
+            at: None,
+            energy_counts: samples.iter().sum(),
+            peak_counts: samples.iter().copied().fold(0.0, f64::max),
+            dark_counts: 20.0,
+            lit_samples: samples.iter().filter(|v| **v > 8.0).count() as u32,
+            clipped_samples: 0,
+            bounces: 0,
+        }
+    }
+
+    #[test]
+    fn a_pulse_is_light_and_flicker_and_sparks_are_not() {
+        let pulse = |peak: f64| move |t: f64| 5.1 * peak * ((-t / 1.2e-3).exp() - (-t / 0.7e-3).exp());
+        for peak in [12.0, 40.0, 600.0] {
+            assert!(seen(pulse(peak)).light().is_some(), "peak {peak}: {:?}", seen(pulse(peak)));
+        }
+        assert_eq!(seen(|t| if t < 30e-6 { 900.0 } else { 0.0 }).light(), None, "a spark");
+        for hertz in [100.0, 120.0] {
+            for start in 0..8 {
+                let phase = f64::from(start) * std::f64::consts::FRAC_PI_4;
+                let flicker = |t: f64| 15.0 * (2.0 * std::f64::consts::PI * hertz * t + phase).sin();
+                assert!(seen(flicker).lit_samples > 300);
+                assert_eq!(seen(flicker).light(), None, "{hertz} Hz, {start}");
+            }
+        }
     }
 }

@@ -23,8 +23,9 @@ pub fn dark_frame(syncs: &[FlashSync]) -> Option<Reason> {
             ReasonCode::NotDark,
             lit as f64,
             0.0,
-            "Flash light was measured during the frame without flash although the controller held its flash back; \
-             switch off what else may fire (built-in flash, radio trigger, optical slave) and take the pair again.",
+            "A pulse of light was measured during the frame without flash although the controller held its flash back; \
+             switch off what else may fire (built-in flash, radio trigger, optical slave), shield the photodiode from \
+             flickering lamps, and take the pair again.",
         )
     } else if syncs.is_empty() {
         (

@@ -12,8 +12,8 @@ pub struct FlashGain {
 }
 
 impl FlashGain {
-    /// Of a pair of which nothing was measured.
-    pub const UNIT: Self = Self { value: 1.0, deviation: 0.0 };
+    /// Of a pair of which nothing was measured: strobes repeat to some 0.3 % (thesis, section 3.4: 0.0029).
+    pub const UNMEASURED: Self = Self { value: 1.0, deviation: 0.003 };
 }
 
 impl Known {
@@ -21,9 +21,6 @@ impl Known {
     /// `(var P + (P sigma_g / g)^2) / g^2`. The gain's part is common to all pixels of the pair; it enters each
     /// variance so that pairs with a doubtful gain weigh less.
     pub fn at_reference(mut self, gain: FlashGain) -> Self {
-        if gain == FlashGain::UNIT {
-            return self;
-        }
         let (inverse, relative) = (gain.value.recip() as f32, (gain.deviation / gain.value) as f32);
         let variances = self.variance.pixels_mut().iter_mut();
         for (value, variance) in self.rgb.pixels_mut().iter_mut().zip(variances) {
@@ -48,7 +45,8 @@ mod tests {
             variance: Image::filled(2, 2, [9.0, 9.0, 9.0]),
             valid: Image::filled(2, 2, true),
         };
-        assert_eq!(known.clone().at_reference(FlashGain::UNIT), known);
+        let exact = FlashGain { value: 1.0, deviation: 0.0 };
+        assert_eq!(known.clone().at_reference(exact), known);
         let gain = FlashGain { value: 1.25, deviation: 0.025 };
         let freed = known.at_reference(gain);
         let (value, variance) = (freed.rgb.at(1, 1), freed.variance.at(1, 1));

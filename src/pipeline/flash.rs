@@ -3,7 +3,7 @@
 use crate::calibration::{CardShot, FlashCalibration, FlashFitError, fit_flash};
 use crate::codec::raw::RawError;
 use crate::light::{Ring, RingError};
-use crate::pair::{FlashRecord, Settings};
+use crate::pair::{FlashRecord, FrameRecord, Settings};
 use crate::photometry::{IsolateError, NoNoise, NoiseModel, isolate, isolate_dark};
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::{develop::exposure_ratio, scene};
@@ -71,14 +71,6 @@ pub enum FlashError {
     /// `flash.json` is broken.
     #[error("{} is damaged ({reason}); run `unlit calibrate flash` again", path.display())]
     Damaged {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// The record beside a card shot is broken.
-    #[error("{} is damaged ({reason}); take the card shot again", path.display())]
-    ShotRecord {
         /// The file.
         path: PathBuf,
         /// What is wrong with it.
@@ -206,6 +198,7 @@ fn label(path: &Path) -> String {
 /// What is read of the record that capture keeps beside a card shot's frames.
 #[derive(serde::Deserialize)]
 struct ShotRecord {
+    on: FrameRecord,
     #[serde(default)]
     flash: Option<FlashRecord>,
 }
@@ -213,7 +206,7 @@ struct ShotRecord {
 /// Name of that record.
 pub const SHOT_RECORD: &str = "shot.json";
 
-/// Energy of a card shot's pulse, if the flash controller's account lies beside its frame.
+/// Energy of a card shot's pulse, if the flash controller's account of this very frame lies beside it.
 fn energy_beside(frame: &Path) -> Result<Option<f64>, FlashError> {
     let path = frame.with_file_name(SHOT_RECORD);
     let bytes = match std::fs::read(&path) {
@@ -221,9 +214,19 @@ fn energy_beside(frame: &Path) -> Result<Option<f64>, FlashError> {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(source) => return Err(FlashError::Io { path, source }),
     };
-    let record: ShotRecord =
-        serde_json::from_slice(&bytes).map_err(|e| FlashError::ShotRecord { path, reason: e.to_string() })?;
-    Ok(record.flash.as_ref().and_then(FlashRecord::energy_counts))
+    let record: ShotRecord = match serde_json::from_slice(&bytes) {
+        Ok(record) => record,
+        Err(error) => {
+            tracing::warn!(
+                "{} is no record of a card shot ({error}); its energy is not known",
+                path.display()
+            );
+            return Ok(None);
+        }
+    };
+    let same = frame.file_name().is_some_and(|name| name == record.on.file.as_str())
+        && store::digest_file(frame).map_err(io(frame))? == record.on.blake3;
+    Ok(record.flash.as_ref().filter(|_| same).and_then(FlashRecord::energy_counts))
 }
 
 /// The flash's light goes with ISO and aperture, not with the shutter.

@@ -231,10 +231,11 @@ impl Inputs {
             parts.push(std::fs::read(&path).map_err(io(&path))?);
         }
         for (pair, _) in &matched {
-            let gain = flash.scale.gain(pair.flash.as_ref());
             let (off, on) = (&pair.off.blake3, &pair.on.blake3);
-            parts.push(format!("{} {off} {on} {} {}", pair.name, gain.value, gain.deviation).into_bytes());
+            parts.push(format!("{} {off} {on}", pair.name).into_bytes());
         }
+        // Gains come out of it, and the report tells all of it.
+        parts.push(format!("{flash:?}").into_bytes());
         // The report and the summary tell of these too.
         for left in &left_out {
             parts.push(format!("without {}: {}", left.name, left.why).into_bytes());

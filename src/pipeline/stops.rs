@@ -48,6 +48,8 @@ pub struct Earlier {
     stops: Vec<(StopKey, u32)>,
     files: BTreeMap<String, (Role, u32)>,
     energies: Vec<f64>,
+    /// The photodiode has seen a pulse of an accepted pair, measured or not.
+    sees_light: bool,
 }
 
 /// `derived/stops/NNNN.json`.
@@ -105,12 +107,13 @@ impl Earlier {
         if record.verdict == Verdict::Accepted {
             self.stops.extend(stop.map(|stop| (stop.key(), record.number)));
             self.energies.extend(record.flash.as_ref().and_then(FlashRecord::energy_counts));
+            self.sees_light |= record.flash.as_ref().is_some_and(FlashRecord::saw_light);
         }
     }
 
-    /// Whether the flash controller's photodiode has measured a pulse of an accepted pair.
+    /// Whether the flash controller's photodiode has seen a pulse of an accepted pair.
     pub fn sees_light(&self) -> bool {
-        !self.energies.is_empty()
+        self.sees_light
     }
 
     /// What the next pair is held against: `off` and `on` are its files' BLAKE3, `energy` its pulse in the

@@ -127,6 +127,8 @@ fn pairs_posted_to_the_api_become_a_model_unaided() {
     let (document, _, images) = gltf::import_slice(&glb).unwrap();
     assert_eq!((document.meshes().count(), images.len()), (1, 1));
 
+    the_flash_is_told(&daemon);
+
     // What came out is the truth that the studio was made from.
     drop(daemon);
     let session = Session::open(&folder.path().join("sessions/job")).unwrap();
@@ -138,6 +140,48 @@ fn pairs_posted_to_the_api_become_a_model_unaided() {
     for view in seen_by_the_cameras {
         assert!(view.full.mean.abs() < 0.02 && view.full.standard_deviation < 0.08, "{view:?}");
     }
+    a_pulse_of_more_energy_means_less_known_light(&session);
+}
+
+/// Proof, energies and repeatability over HTTP, and in the report.
+fn the_flash_is_told(daemon: &Daemon) {
+    daemon.stage(json!({ "card_distance_m": 1.0 }));
+    let run = daemon.finished(daemon.post("/sessions/job/repeatability", json!({ "shots": 10 })));
+    let figure = |of: &Value, name: &str| of[name].as_f64().unwrap_or_else(|| panic!("no {name} in {of}"));
+    println!("{}", run["words"]);
+    assert!(figure(&run, "corrected") < 0.5 * figure(&run, "spread"), "{run}");
+    let account = daemon.get("/sessions/job/flash");
+    assert_eq!((&account["pairs"], &account["proven"]), (&json!(PAIRS), &json!(PAIRS)), "{account}");
+    assert_eq!(account["reference"]["source"], "calibration");
+    assert_eq!(account["repeatability"]["shots"], 10);
+    for pulse in account["pulses"].as_array().unwrap() {
+        assert!((figure(pulse, "gain") - 1.0).abs() < 0.02 && figure(pulse, "deviation") < 0.002, "{pulse}");
+    }
+    daemon.finished(daemon.post("/sessions/job/process", json!({})));
+    let report = ureq::get(daemon.path("/sessions/job/files/model/report.html")).call().unwrap();
+    let report = report.into_body().read_to_string().unwrap();
+    for words in ["Divided by the measured energy", "divided out of the pairs", "Repeatability run"] {
+        assert!(report.contains(words), "the report lacks {words:?}");
+    }
+}
+
+/// Processing divides by the gain, and notices when it changes.
+fn a_pulse_of_more_energy_means_less_known_light(session: &Session) {
+    let known = |name: &str| {
+        let file = session.path().join(format!("derived/views/{name}/known.exr"));
+        let image = unlit::codec::exr_image::read(&file).unwrap().rgb().unwrap();
+        image.pixels().iter().map(|p| f64::from(p[1])).sum::<f64>()
+    };
+    let before = ["0001", "0002"].map(known);
+    let file = session.pair_dir(1).join("pair.json");
+    let mut record: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    let energy = &mut record["flash"]["on"][0]["energy_counts"];
+    *energy = json!(1.25 * energy.as_f64().unwrap());
+    std::fs::write(&file, record.to_string()).unwrap();
+    unlit::pipeline::views::ensure(session, &Progress::silent()).unwrap();
+    let after = ["0001", "0002"].map(known);
+    assert!((before[0] / after[0] - 1.25).abs() < 1e-4, "{before:?} {after:?}");
+    assert!((before[1] / after[1] - 1.0).abs() < 1e-4, "{before:?} {after:?}");
 }
 
 #[test]

@@ -9,7 +9,8 @@ export function Flash({ live }: { live: Live }) {
   const newest = live.pairs[0]?.number ?? 0;
   const [account, setAccount] = useState<FlashAccount | null>(null);
   const [problem, setProblem] = useState<string | null>(null);
-  const about = session ? [session.name, newest, session.has_flash_calibration].join("\n") : null;
+  const runs = live.jobs.filter((job) => job.kind === "repeatability" && job.state === "done").length;
+  const about = session ? [session.name, newest, session.has_flash_calibration, runs].join("\n") : null;
   useEffect(() => {
     if (!session) return;
     const end = new AbortController();
@@ -25,7 +26,7 @@ export function Flash({ live }: { live: Live }) {
     return () => end.abort();
   }, [about]);
 
-  if (!session || newest === 0) return null;
+  if (!session || (newest === 0 && !account?.repeatability)) return null;
   return (
     <section class="flash" aria-labelledby="flash-light">
       <div class="head">
@@ -42,7 +43,7 @@ export function Flash({ live }: { live: Live }) {
             </ul>
           )}
           {account.pulses.length > 1 && <Energies pulses={account.pulses} />}
-          <p class="dim">{account.words}</p>
+          {newest > 0 && <p class="dim">{account.words}</p>}
           {account.repeatability && <p class="dim">{words.repeatability(account.repeatability)}</p>}
         </>
       )}

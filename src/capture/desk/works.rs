@@ -93,6 +93,7 @@ impl Desk {
                 "corrected": run.corrected,
                 "corrected_error": run.corrected_error,
                 "sensor_noise": run.sensor_noise,
+                "reading_noise": run.reading_noise,
             }))
         })
     }

@@ -103,7 +103,6 @@ impl From<DeskError> for Problem {
     }
 }
 
-/// Runs what may wait for a disk or a device on a thread that may block.
 /// A body of JSON that may be left out: no body means no wishes, whatever the content type says.
 fn wishes<T: Default + DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
     if body.is_empty() {
@@ -112,6 +111,7 @@ fn wishes<T: Default + DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
     serde_json::from_slice(body).map_err(|e| Problem::bad_request("body_invalid", e))
 }
 
+/// Runs what may wait for a disk or a device on a thread that may block.
 async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, DeskError> + Send + 'static,
 ) -> Result<T, Problem> {

@@ -116,10 +116,10 @@ impl EnergyScale {
     }
 
     /// The gain of a pair: as measured; where its pulse was not, the session's mean with the flash's own spread; where
-    /// none was, 1 with nothing known.
+    /// those are too few, 1 with the spread that strobes have.
     pub fn gain(&self, record: Option<&FlashRecord>) -> FlashGain {
         let energy = record.and_then(FlashRecord::energy_counts);
-        energy.and_then(|e| self.measured(e)).or(self.usual).unwrap_or(FlashGain::UNIT)
+        energy.and_then(|e| self.measured(e)).or(self.usual).unwrap_or(FlashGain::UNMEASURED)
     }
 }
 
@@ -182,6 +182,8 @@ pub(super) mod tests {
             let gain = scale.gain(record);
             assert!((gain.value - 1.0).abs() < 1e-9 && (gain.deviation - 0.02).abs() < 1e-9, "{gain:?}");
         }
-        assert_eq!(EnergyScale::new(&[], None, None).gain(None), FlashGain::UNIT);
+        assert_eq!(EnergyScale::new(&[], None, None).gain(None), FlashGain::UNMEASURED);
+        let alone = EnergyScale::new(&pairs[..1], None, None);
+        assert_eq!(alone.gain(None), FlashGain::UNMEASURED);
     }
 }

@@ -21,6 +21,8 @@ pub struct RepeatShot {
     pub light_error: [f64; 3],
     /// Energy of the pulse, the controller's counts.
     pub energy_counts: f64,
+    /// What was read in the dark frame before it: noise, the controller's counts.
+    pub dark_energy_counts: f64,
 }
 
 /// What a series says.
@@ -36,6 +38,8 @@ pub struct Repeatability {
     pub corrected_error: f64,
     /// Part of both that is the sensor's noise, not the flash's.
     pub sensor_noise: f64,
+    /// Part of `corrected` that is the photodiode's reading, as the dark frames tell.
+    pub reading_noise: f64,
     /// Relative standard deviation of the measured energies.
     pub energy_spread: f64,
     /// The shots.
@@ -43,9 +47,9 @@ pub struct Repeatability {
 }
 
 impl Repeatability {
-    /// Relative deviation of the flash's light from the measured energy, the sensor's noise taken out.
+    /// Relative deviation of the flash's light from its energy, the noise of sensor and reading taken out.
     pub fn agreement(&self) -> f64 {
-        (self.corrected.powi(2) - self.sensor_noise.powi(2)).max(0.0).sqrt()
+        (self.corrected.powi(2) - self.sensor_noise.powi(2) - self.reading_noise.powi(2)).max(0.0).sqrt()
     }
 }
 
@@ -90,6 +94,7 @@ pub fn repeatability(shots: &[RepeatShot]) -> Result<Repeatability, RepeatError>
         corrected,
         corrected_error: corrected * own_error,
         sensor_noise: total.sqrt().recip(),
+        reading_noise: mean(&|s| s.dark_energy_counts.powi(2)).sqrt() / mean(&|s| s.energy_counts),
         energy_spread: relative(shots.iter().map(|s| s.energy_counts).collect()),
         shots: shots.to_vec(),
     })
@@ -101,7 +106,8 @@ mod tests {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    fn series(n: u32, jitter: f64, reading: f64, sensor: f64) -> Vec<RepeatShot> {
+    /// `stray`: what the light does beside the energy.
+    fn series(n: u32, jitter: f64, reading: f64, sensor: f64, stray: f64) -> Vec<RepeatShot> {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
         let mut gauss = |sd: f64| -> f64 { sd * Distribution::<f64>::sample(&StandardNormal, &mut random) };
         (1..=n)
@@ -109,26 +115,31 @@ mod tests {
                 let energy = 1.0 + gauss(jitter);
                 let level = [900.0, 2000.0, 700.0];
                 let light_error = level.map(|l| l * sensor * 3f64.sqrt());
-                let light = std::array::from_fn(|c| level[c] * energy + gauss(light_error[c]));
-                let energy_counts = 1.2e5 * energy * (1.0 + gauss(reading));
-                RepeatShot { number, at: None, light, light_error, energy_counts }
+                let given = energy * (1.0 + gauss(stray));
+                let light = std::array::from_fn(|c| level[c] * given + gauss(light_error[c]));
+                let energy_counts = 1.2e5 * energy + gauss(1.2e5 * reading);
+                let dark_energy_counts = gauss(1.2e5 * reading);
+                RepeatShot { number, at: None, light, light_error, energy_counts, dark_energy_counts }
             })
             .collect()
     }
 
     #[test]
     fn the_flashs_jitter_is_told_and_division_by_the_energy_leaves_only_what_readings_and_sensor_add() {
-        let r = repeatability(&series(2000, 0.0029, 0.0004, 0.0002)).unwrap();
+        let r = repeatability(&series(2000, 0.0029, 0.0004, 0.0002, 0.0)).unwrap();
         assert!((r.spread / 0.0029f64.hypot(0.0002) - 1.0).abs() < 0.05, "{}", r.spread);
         assert!((r.corrected / 0.0004f64.hypot(0.0002) - 1.0).abs() < 0.05, "{}", r.corrected);
         assert!((r.sensor_noise / 0.0002 - 1.0).abs() < 0.02, "{}", r.sensor_noise);
-        assert!((r.agreement() / 0.0004 - 1.0).abs() < 0.06, "{}", r.agreement());
+        assert!((r.reading_noise / 0.0004 - 1.0).abs() < 0.06, "{}", r.reading_noise);
+        assert!(r.agreement() < 0.00015, "{}", r.agreement());
+        let r = repeatability(&series(2000, 0.0029, 0.0004, 0.0002, 0.0006)).unwrap();
+        assert!((r.agreement() / 0.0006 - 1.0).abs() < 0.06, "{}", r.agreement());
         assert!((r.energy_spread / 0.0029f64.hypot(0.0004) - 1.0).abs() < 0.05);
     }
 
     #[test]
     fn a_reading_that_has_nothing_to_do_with_the_light_makes_it_worse() {
-        let mut shots = series(40, 0.0029, 0.0004, 0.0002);
+        let mut shots = series(40, 0.0029, 0.0004, 0.0002, 0.0);
         let energies: Vec<f64> = shots.iter().map(|s| s.energy_counts).rev().collect();
         shots.iter_mut().zip(energies).for_each(|(s, e)| s.energy_counts = e);
         let r = repeatability(&shots).unwrap();
@@ -137,8 +148,8 @@ mod tests {
 
     #[test]
     fn short_and_dark_series_are_refused() {
-        assert_eq!(repeatability(&series(7, 0.003, 0.0, 0.0)), Err(RepeatError::TooFew(7)));
-        let mut shots = series(8, 0.003, 0.0, 0.0);
+        assert_eq!(repeatability(&series(7, 0.003, 0.0, 0.0, 0.0)), Err(RepeatError::TooFew(7)));
+        let mut shots = series(8, 0.003, 0.0, 0.0, 0.0);
         shots[4].energy_counts = 0.0;
         assert_eq!(repeatability(&shots), Err(RepeatError::Dark(5)));
         shots[4].energy_counts = 1.0;

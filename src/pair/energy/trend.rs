@@ -14,7 +14,7 @@
 
 use super::fit::{Candidate, Fit, explain};
 use super::{EnergyScale, mean_and_deviation, median};
-use crate::pair::{PairRecord, ReasonCode, Verdict};
+use crate::pair::{FlashRecord, FlashSync, PairRecord, ReasonCode, Verdict, proof};
 use crate::photometry::FlashGain;
 use serde::{Deserialize, Serialize};
 
@@ -34,6 +34,8 @@ const WORTH_COOLING: f64 = 0.01;
 const UNSTEADY: f64 = 0.01;
 /// Share of pairs without a proper flash from which on advice is given, and least number of them.
 const MANY_MISFIRES: f64 = 0.1;
+/// Relative deviation of a reading from which on something disturbs it: twice what the controller's tests bound.
+const NOISY: f64 = 0.0015;
 /// Median gain so far from 1 that photodiode or power have likely been changed since the calibration.
 const CHANGED: f64 = 0.05;
 
@@ -72,6 +74,8 @@ pub enum AdviceCode {
     PhotodiodeClips,
     /// The photodiode sees nothing.
     PhotodiodeBlind,
+    /// Readings are noisy: the room's light flickers into them.
+    RoomFlickers,
     /// The energy is far from the calibration's.
     CalibrateAgain,
 }
@@ -100,6 +104,8 @@ pub struct Trend {
     pub droop: Option<f64>,
     /// Pairs with a flash controller.
     pub pairs: usize,
+    /// Those whose unlit frame is proven dark and whose lit frame had its own pulse, seen by the photodiode.
+    pub proven: usize,
     /// Those that were rejected for their lighting.
     pub misfires: usize,
     /// What to do; empty when all is well.
@@ -109,11 +115,10 @@ pub struct Trend {
 impl Trend {
     /// The flash in one sentence.
     pub fn words(&self) -> String {
-        let proven = self.pairs - self.misfires;
         if self.pairs == 0 {
             return "No flash controller has watched a pair of this session yet.".into();
         }
-        let proof = format!("{proven} of {} pairs are proven dark and lit", self.pairs);
+        let proof = format!("{} of {} pairs are proven dark and lit", self.proven, self.pairs);
         match (self.spread, self.pulses.last()) {
             (Some(spread), Some(last)) => format!(
                 "{proof}; the flash varies by {:.2} %, measured to {:.2} % and divided out.",
@@ -140,7 +145,8 @@ fn seconds(s: f64) -> String {
 
 /// What the session's pairs tell of the flash. `pairs` in the order in which they were shot, rejected ones included.
 pub fn trend(pairs: &[PairRecord], scale: &EnergyScale) -> Trend {
-    let pulses = pulses(pairs, scale);
+    let triggers = triggers(pairs);
+    let pulses = pulses(pairs, &triggers, scale);
     let seen: Vec<_> = pairs.iter().filter_map(|p| Some((p, p.flash.as_ref()?))).collect();
     let misfired = |p: &&(&PairRecord, _)| {
         p.0.reasons.iter().any(|r| matches!(r.code, ReasonCode::Misfire | ReasonCode::NotDark))
@@ -148,7 +154,12 @@ pub fn trend(pairs: &[PairRecord], scale: &EnergyScale) -> Trend {
     let misfires = seen.iter().filter(misfired).count();
     let gains: Vec<f64> = pulses.iter().map(|p| p.gain).collect();
     let spread = mean_and_deviation(&gains).map(|(mean, sd)| sd / mean);
-    let mut trend = Trend { spread, pairs: seen.len(), misfires, ..Trend::default() };
+    let proves = |flash: &FlashRecord| {
+        let lit = |pulse: &FlashSync| proof::lit_frame(&flash.on, pulse.tag, true).is_none();
+        proof::dark_frame(&flash.off).is_none() && flash.pulse().is_some_and(lit)
+    };
+    let proven = seen.iter().filter(|(_, flash)| proves(flash)).count();
+    let mut trend = Trend { spread, pairs: seen.len(), proven, misfires, ..Trend::default() };
 
     if misfires >= 2 && misfires as f64 >= MANY_MISFIRES * seen.len() as f64 {
         let sentence = format!(
@@ -169,36 +180,49 @@ pub fn trend(pairs: &[PairRecord], scale: &EnergyScale) -> Trend {
         );
         trend.advice.push(advice(AdviceCode::CalibrateAgain, sentence));
     }
+    if let Some(reference) = scale.reference
+        && scale.reading_deviation > NOISY * reference.counts
+    {
+        let sentence = format!(
+            "The photodiode's readings scatter by {:.2} %: the room's lamps flicker into them. Tell the mains frequency (`--mains 50` or `--mains 60`), shield the photodiode from the room, or bring it nearer to the tube.",
+            100.0 * scale.reading_deviation / reference.counts
+        );
+        trend.advice.push(advice(AdviceCode::RoomFlickers, sentence));
+    }
     if pulses.len() >= FEWEST_PULSES {
-        explain_trend(&mut trend, &pulses);
+        explain_trend(&mut trend, &pulses, &triggers);
     }
     trend.pulses = pulses;
     trend
 }
 
-fn pulses(pairs: &[PairRecord], scale: &EnergyScale) -> Vec<TrendPulse> {
-    let mut pulses = vec![];
-    let mut before: Option<f64> = None;
-    for pair in pairs {
-        let Some(flash) = &pair.flash else { continue };
-        // Pulses of rejected pairs drain and heat the flash as well.
-        let at = flash.pulse().and_then(|sync| sync.at);
-        let rest = at.zip(before).map(|(at, before)| at - before).filter(|rest| *rest > 0.0);
-        if flash.pulses_on() + flash.pulses_off() > 0 {
-            before =
-                flash.on.iter().chain(&flash.off).filter(|s| s.triggered).filter_map(|s| s.at).next_back();
-        }
-        let energy = flash.energy_counts().filter(|_| pair.verdict == Verdict::Accepted);
-        if let Some((energy_counts, FlashGain { value, deviation })) =
-            energy.and_then(|e| Some((e, scale.measured(e)?)))
-        {
-            pulses.push(TrendPulse { pair: pair.number, at, rest, energy_counts, gain: value, deviation });
-        }
-    }
-    pulses
+/// When the flash was triggered, rejected pairs included: those pulses drain and heat it as well.
+fn triggers(pairs: &[PairRecord]) -> Vec<f64> {
+    let records = pairs.iter().filter_map(|pair| pair.flash.as_ref());
+    let syncs = records.flat_map(|flash| flash.off.iter().chain(&flash.on)).filter(|sync| sync.triggered);
+    let mut times: Vec<f64> = syncs.filter_map(|sync| sync.at).collect();
+    times.sort_by(f64::total_cmp);
+    times
 }
 
-fn photodiode(seen: &[(&PairRecord, &crate::pair::FlashRecord)]) -> Option<Advice> {
+fn pulses(pairs: &[PairRecord], triggers: &[f64], scale: &EnergyScale) -> Vec<TrendPulse> {
+    let accepted = pairs.iter().filter(|pair| pair.verdict == Verdict::Accepted);
+    accepted
+        .filter_map(|pair| {
+            let flash = pair.flash.as_ref()?;
+            let energy_counts = flash.energy_counts()?;
+            let FlashGain { value, deviation } = scale.measured(energy_counts)?;
+            let at = flash.pulse().and_then(|sync| sync.at);
+            let rest = at.and_then(|at| {
+                let before = triggers.partition_point(|t| *t < at).checked_sub(1)?;
+                Some(at - triggers[before])
+            });
+            Some(TrendPulse { pair: pair.number, at, rest, energy_counts, gain: value, deviation })
+        })
+        .collect()
+}
+
+fn photodiode(seen: &[(&PairRecord, &FlashRecord)]) -> Option<Advice> {
     let lit: Vec<_> = seen.iter().filter_map(|(_, flash)| flash.pulse()).collect();
     let clipped = lit.iter().filter(|sync| sync.clipped_samples > 0).count();
     if clipped > 0 {
@@ -233,7 +257,7 @@ impl Cause {
 }
 
 /// The causes that can be told from these times.
-fn causes(pulses: &[TrendPulse]) -> Vec<(Cause, Candidate)> {
+fn causes(pulses: &[TrendPulse], triggers: &[f64]) -> Vec<(Cause, Candidate)> {
     let candidate = |cause: Cause, values: Vec<f64>| (cause, Candidate { group: cause.group(), values });
     let n = pulses.len();
     let mut out = vec![candidate(Cause::Droop, (0..n).map(|i| i as f64).collect())];
@@ -245,23 +269,18 @@ fn causes(pulses: &[TrendPulse]) -> Vec<(Cause, Candidate)> {
         out.push(candidate(Cause::Recharge(tau), pulses.iter().map(|p| (-rest(p) / tau).exp()).collect()));
     }
     for cooling in COOLINGS {
-        let mut heat = 0.0;
-        let values = (0..n)
-            .map(|i| {
-                if i > 0 {
-                    heat = (heat + 1.0) * (-(times[i] - times[i - 1]).max(0.0) / cooling).exp();
-                }
-                heat
-            })
-            .collect();
-        out.push(candidate(Cause::Heat(cooling), values));
+        let heat = |at: f64| {
+            let before = triggers.iter().take_while(|t| **t < at);
+            before.map(|t| (-(at - t) / cooling).exp()).sum::<f64>()
+        };
+        out.push(candidate(Cause::Heat(cooling), times.iter().map(|at| heat(*at)).collect()));
     }
     out
 }
 
-fn explain_trend(trend: &mut Trend, pulses: &[TrendPulse]) {
+fn explain_trend(trend: &mut Trend, pulses: &[TrendPulse], triggers: &[f64]) {
     let gains: Vec<f64> = pulses.iter().map(|p| p.gain).collect();
-    let (causes, candidates): (Vec<Cause>, Vec<Candidate>) = causes(pulses).into_iter().unzip();
+    let (causes, candidates): (Vec<Cause>, Vec<Candidate>) = causes(pulses, triggers).into_iter().unzip();
     let Fit { constant, chosen } = explain(&gains, &candidates, LEAST_F);
     let rests: Vec<f64> = pulses.iter().filter_map(|p| p.rest).collect();
     let mut explained = vec![constant; gains.len()];
@@ -324,7 +343,7 @@ fn explain_trend(trend: &mut Trend, pulses: &[TrendPulse]) {
 mod tests {
     use super::super::tests::sync;
     use super::*;
-    use crate::pair::{FlashRecord, FrameRecord, Reason, Settings};
+    use crate::pair::{FrameRecord, Reason, Settings};
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
@@ -459,6 +478,15 @@ mod tests {
             (on.clipped_samples, on.lit_samples) = (0, 0);
         }
         assert_eq!(codes(&of(&pairs)), [AdviceCode::PhotodiodeBlind]);
+    }
+
+    #[test]
+    fn readings_that_scatter_in_the_dark_tell_of_flicker() {
+        let mut pairs = session(&walk(12), |_, _, _| 1.0);
+        for (i, pair) in pairs.iter_mut().enumerate() {
+            pair.flash.as_mut().unwrap().off[0].energy_counts = if i % 2 == 0 { 600.0 } else { -600.0 };
+        }
+        assert_eq!(codes(&of(&pairs)), [AdviceCode::RoomFlickers]);
     }
 
     #[test]

@@ -62,6 +62,7 @@ fn repeatability(run: &Repeatability) -> [Block; 2] {
         fact("Known light, standard deviation", of(run.spread, run.spread_error)),
         fact("Divided by the measured energy", of(run.corrected, run.corrected_error)),
         fact("Of both, the sensor's noise", format!("{:.3} %", 100.0 * run.sensor_noise)),
+        fact("Of the latter, the photodiode's reading", format!("{:.3} %", 100.0 * run.reading_noise)),
     ];
     let n = run.shots.len() as f64;
     let mean = run.shots.iter().map(|s| s.light[1]).sum::<f64>() / n;
