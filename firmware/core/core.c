@@ -69,10 +69,19 @@ void core_init(struct core *core, const struct core_hal *hal, const struct core_
     send_event(core);
 }
 
-void core_configure(struct core *core, const struct core_config *cfg)
+bool core_configure(struct core *core, const struct core_config *cfg)
 {
-    core->cfg = *cfg;
-    core->samples_wanted = (uint16_t)(cfg->win_us / CORE_SAMPLE_US);
+    const uint16_t samples = (uint16_t)(cfg->win_us / CORE_SAMPLE_US); /* a division is too long to hold for */
+    /* An edge comes before, and its shot keeps its settings, or after, and has the new ones. */
+    const struct core_hal *hal = core->hal;
+    hal->hold(hal->ctx, true);
+    const bool free = core->measuring == 0;
+    if (free) {
+        core->cfg = *cfg;
+        core->samples_wanted = samples;
+    }
+    hal->hold(hal->ctx, false);
+    return free;
 }
 
 size_t core_size(void)
@@ -311,12 +320,15 @@ void core_poll(struct core *core, uint32_t now_us)
         why = TEXT("silence");
     } else if (core->armed && passed(now_us, core->armed_at, core->arm_ttl_us)) {
         why = TEXT("ttl");
+    } else if (core->fire_pending && passed(now_us, core->fire_from, core->fire_delay_us + CORE_LATE_MS * 1000ul)) {
+        why = TEXT("late");
     }
     if (why != NULL) {
         core_safe(core);
     }
     /* Before anything is written, which takes milliseconds: now_us must still be true. */
-    if (core->fire_pending && passed(now_us, core->fire_from, core->fire_delay_us) && core->locked == 0) {
+    if (core->fire_pending && passed(now_us, core->fire_from, core->fire_delay_us) && core->locked == 0 &&
+        core_charged(core)) {
         fire_now(core, now_us);
     }
     /* The interrupt may have used the gate just before it was closed; then that is what happened. */

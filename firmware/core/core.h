@@ -44,6 +44,7 @@ enum {
     CORE_LIGHT_THRESHOLD = 8,  /* counts above dark that are light */
     CORE_ADC_FULL = 1023,      /* a sample of this value is clipped */
     CORE_ADC_NONE = 0x7FFF,    /* no sample */
+    CORE_LATE_MS = 50,         /* a fire that could not come for so long after its time is cancelled */
     CORE_TRIGGER_GAP_MS = 50,  /* no flash takes more than 20 triggers a second */
     CORE_STUCK_MS = 2000       /* a contact closed for longer is stuck */
 };
@@ -115,7 +116,7 @@ struct core {
 
     /* Written by the main loop, read by interrupts. */
     volatile struct core_dark dark[2];
-    uint16_t samples_wanted; /* in a window; set while none is open */
+    uint16_t samples_wanted; /* in a window; written inside hal->hold while `measuring` is 0 */
     uint32_t arm_tag;        /* while the gate is closed */
 
     /* Main loop only. */
@@ -180,8 +181,8 @@ void core_safe(struct core *core);
 bool core_gate_open(const struct core *core);
 /* ms until the flash may be triggered again, as far as time tells. */
 uint32_t core_wait_ms(const struct core *core, uint32_t now_us);
-/* Takes over the settings. */
-void core_configure(struct core *core, const struct core_config *cfg);
+/* Takes over the settings, unless a shot is being measured: then false, and nothing has changed. */
+bool core_configure(struct core *core, const struct core_config *cfg);
 bool core_charged(const struct core *core);
 void core_shot_fields(struct line_writer *line, const struct core_shot *shot);
 

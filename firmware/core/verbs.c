@@ -22,7 +22,7 @@ static enum line_error hello(struct core *core, struct line_request *request, ui
     core->greeted = true;
     core->strict = strict == 1;
     line_pair(reply, TEXT("v"), 1);
-    line_word(reply, TEXT("fw"), TEXT("1.1"));
+    line_word(reply, TEXT("fw"), TEXT("1.2"));
     line_word(reply, TEXT("mcu"), core->hal->mcu);
     line_pair(reply, TEXT("boot"), core->boot);
     line_pair(reply, TEXT("rst"), core->rst);
@@ -83,11 +83,11 @@ static enum line_error cfg(struct core *core, struct line_request *request, stru
         return LINE_ARG;
     }
     /* Times that run are not changed under way. */
-    if (request->count > 0 && (core->armed || core->fire_pending || core->measuring != 0 || core->trigger_high != 0)) {
+    next.rdy = (uint8_t)rdy;
+    if (request->count > 0 &&
+        (core->armed || core->fire_pending || core->trigger_high != 0 || !core_configure(core, &next))) {
         return LINE_BUSY;
     }
-    next.rdy = (uint8_t)rdy;
-    core_configure(core, &next);
     line_pair(reply, TEXT("sil"), next.sil_ms);
     line_pair(reply, TEXT("pulse"), next.pulse_us);
     line_pair(reply, TEXT("lock"), next.lock_ms);

@@ -1,8 +1,11 @@
 /* Throws lines, edges, light and time at the core, compiled with sanitizers, and checks after every step what
  * ../PROTOCOL.md promises: `unlit-fuzz SEED FRAMES`. A frame is one line of input. The same seed gives the same run.
  *
- * Interrupts come where they can come on the board: in any call that the core makes of its hal, unless it holds them
- * off. The bench below knows of the core only its calls and what it says; where it looks inside, it says so. */
+ * Interrupts come where they can come on the board: between any two steps of the core, unless it holds them off. The
+ * compiler calls the bench at the head of every basic block of core.c and verbs.c (-fsanitize-coverage=trace-pc), and
+ * there an edge or a sample may come in, as in every call that the core makes of its hal. What the compiler keeps in
+ * registers meanwhile stays as it was, as on the board. The bench below knows of the core only its calls and what it
+ * says; where it looks inside, it says so. */
 #include "core.h"
 
 #include <stdio.h>
@@ -10,15 +13,20 @@
 #include <string.h>
 #include <time.h>
 
-enum { FRAME_MAX = 200 };
+enum { FRAME_MAX = 200, BLOCKS_BETWEEN = 400 };
 
 static struct core core;
 static struct {
     uint64_t random;
-    uint64_t frames, edges, fires, arms, lit_syncs, replies, errors, events, boots, nested;
+    uint64_t frames, edges, fires, arms, lit_syncs, replies, errors, events, boots, nested, in_blocks, measured, late;
     uint32_t now;
     bool gate, trigger, held, in_interrupt, closed, charged, greeted, quiet;
+    uint32_t blocks_left; /* until the next interrupt inside a basic block */
+    /* The window of the shot that is measured: what it may take, and what it took. */
+    uint32_t wanted, taken, sum;
     bool fire_due; /* an accepted fire that nothing has cancelled */
+    uint32_t fire_from, fire_delay;
+    uint32_t told_now; /* the time that the core was given last */
     uint32_t rose_at, shot_at, armed_at, armed_ttl, life_at;
     uint32_t junk; /* frames to come from a host that has lost its mind */
     bool ever_rose, seen_high;
@@ -82,8 +90,31 @@ static void rise(void)
     bench.ever_rose = true;
 }
 
+static void note_shot(void)
+{
+    bench.shots_begun++;
+    bench.shot_at = bench.now;
+    bench.wanted = core.cfg.win_us / CORE_SAMPLE_US; /* inside: the setting in force */
+    bench.taken = bench.sum = 0;
+}
+
+static void light(void)
+{
+    const uint16_t counts = (uint16_t)below(CORE_ADC_FULL + 1);
+    const bool outer = bench.in_interrupt;
+    bench.in_interrupt = true; /* they do not nest */
+    if (core.sampling != 0) {  /* inside: the board asks, too */
+        bench.taken++;
+        bench.sum += counts;
+    }
+    core_light_sample(&core, counts);
+    bench.in_interrupt = outer;
+}
+
 static void edge(void)
 {
+    const bool outer = bench.in_interrupt;
+    bench.in_interrupt = true;
     const bool gated = bench.gate;
     const bool begins = gated || core.locked == 0; /* inside: what is bounce */
     bench.edges++;
@@ -96,26 +127,66 @@ static void edge(void)
     }
     core_sync_edge(&core, bench.now, gated);
     if (begins) {
-        bench.shots_begun++;
-        bench.shot_at = bench.now;
+        note_shot();
     }
+    bench.in_interrupt = outer;
 }
 
-static void maybe_interrupt(void)
+static bool interruptible(void)
 {
-    if (bench.held || bench.in_interrupt || bench.quiet || below(24) != 0) {
-        return;
-    }
-    bench.in_interrupt = true;
+    return !bench.held && !bench.in_interrupt && !bench.quiet;
+}
+
+static void interrupt(void)
+{
     bench.nested++;
     /* Later than what the main loop took for now; the bench's own time goes on with it. */
     bench.now += below(60);
     if (below(3) != 0) {
         edge();
     } else {
-        core_light_sample(&core, (uint16_t)below(1024));
+        light();
     }
-    bench.in_interrupt = false;
+}
+
+static void maybe_interrupt(void)
+{
+    if (interruptible() && below(24) == 0) {
+        interrupt();
+    }
+}
+
+void __sanitizer_cov_trace_pc(void);
+void __sanitizer_cov_trace_pc(void)
+{
+    if (interruptible() && bench.blocks_left-- == 0) {
+        bench.blocks_left = below(2 * BLOCKS_BETWEEN);
+        bench.in_blocks++;
+        interrupt();
+    }
+}
+
+static int32_t number_after(const char *line, const char *key)
+{
+    const char *at = strstr(line, key);
+    must(at != NULL, "a shot without one of its fields");
+    return (int32_t)strtol(at + strlen(key), NULL, 10);
+}
+
+/* A shot's window and energy, counted apart from the core. `b` is rounded to sixteenths, and so is what it adds up to. */
+static void judge_shot(const char *line)
+{
+    const int32_t m = number_after(line, " m="), e = number_after(line, " e="), b = number_after(line, " b=");
+    must(bench.now - bench.shot_at >= core.cfg.lock_ms * 1000u, "a shot told before its lock was over");
+    must(m == (int32_t)bench.taken && bench.taken <= bench.wanted, "a window of other samples than it took");
+    const int32_t dark = (int32_t)bench.sum - e;
+    must(abs(dark - m * b / 16) <= m / 32 + 2, "an energy that is not the light above dark");
+    bench.measured += m > 0;
+}
+
+static uint32_t since_fire(void)
+{
+    return bench.told_now - bench.fire_from;
 }
 
 static void hal_send(void *ctx, const char *line, uint8_t length, bool event)
@@ -138,10 +209,15 @@ static void hal_send(void *ctx, const char *line, uint8_t length, bool event)
         bench.events++;
         if (strstr(line, " shot n=") != NULL) {
             bench.shots_told++;
-            must(bench.now - bench.shot_at >= core.cfg.lock_ms * 1000u, "a shot told before its lock was over");
+            judge_shot(line);
         }
-        /* A delayed fire is cancelled by silence, which says so. */
-        if (strncmp(strchr(line, ' '), " disarm why=silence", 19) == 0) {
+        /* A delayed fire is cancelled by silence and by being late, which say so. */
+        const char *said = strchr(line, ' ');
+        if (strncmp(said, " disarm why=late", 16) == 0) {
+            must(bench.fire_due && since_fire() >= bench.fire_delay + CORE_LATE_MS * 1000u, "a fire cancelled early");
+            bench.fire_due = false;
+            bench.late++;
+        } else if (strncmp(said, " disarm why=silence", 19) == 0) {
             bench.fire_due = false;
         }
     } else {
@@ -158,11 +234,13 @@ static void hal_trigger(void *ctx, bool high)
     (void)ctx;
     if (high) {
         must(bench.held && bench.fire_due && bench.greeted, "a trigger that nobody asked for");
+        must(core.cfg.rdy == 0 || bench.charged, "fired a flash that is not charged"); /* inside: whether it is asked */
+        must(since_fire() >= bench.fire_delay, "a fire before its time");
+        must(since_fire() < bench.fire_delay + CORE_LATE_MS * 1000u, "a fire long after its time");
         rise();
         bench.fire_due = false;
         bench.fires++;
-        bench.shots_begun++;
-        bench.shot_at = bench.now;
+        note_shot();
     } else {
         must(!bench.trigger || bench.now - bench.rose_at >= core.cfg.pulse_us, "a pulse cut short");
         bench.trigger = false;
@@ -251,7 +329,9 @@ static void poll_and_check(void)
         bench.seen_high = true;
         bench.seen_high_at = now;
     }
+    bench.told_now = now;
     core_poll(&core, now);
+    bench.quiet = true; /* the questions themselves must not be overtaken */
     if (bench.trigger && bench.seen_high) {
         must(now - bench.seen_high_at < core.cfg.pulse_us, "the trigger stayed up");
     }
@@ -264,6 +344,7 @@ static void poll_and_check(void)
     must(!bench.fire_due || now - bench.life_at < core.cfg.sil_ms * 1000ul, "a delayed fire outlived the host");
     must(!bench.held, "interrupts held off for good");
     must(bench.shots_begun == bench.shots_told + (core.measuring != 0), "a sync without its shot, or two");
+    bench.quiet = false;
 }
 
 /* ---- lines ---- */
@@ -317,7 +398,10 @@ static void judge_frame(size_t length)
         bench.fire_due = false;
     }
     if (strcmp(bench.verb, "fire") == 0) {
+        const char *delay = strstr(bench.frame, " d=");
         bench.fire_due = true;
+        bench.fire_from = bench.told_now;
+        bench.fire_delay = delay != NULL ? (uint32_t)strtoul(delay + 3, NULL, 10) : 0;
     }
 }
 
@@ -337,7 +421,6 @@ static void feed(const char *bytes, size_t length)
         note_frame();
         const char *ttl = strstr(bench.frame, "ttl=");
         if (!bench.gate) {
-            bench.armed_at = bench.now;
             bench.armed_ttl = ttl != NULL ? (uint32_t)strtoul(ttl + 4, NULL, 10) * 1000u : 0;
         }
     } else {
@@ -345,9 +428,14 @@ static void feed(const char *bytes, size_t length)
         bench.replay = false;
     }
     for (size_t i = 0; i < length; i++) {
-        core_rx(&core, (uint8_t)bytes[i], bench.now);
+        bench.told_now = bench.now;
+        core_rx(&core, (uint8_t)bytes[i], bench.told_now);
     }
-    core_rx(&core, '\n', bench.now);
+    if (!bench.gate) {
+        bench.armed_at = bench.now;
+    }
+    bench.told_now = bench.now;
+    core_rx(&core, '\n', bench.told_now);
     bench.frames++;
     if (whole && plain) {
         judge_frame(kept);
@@ -442,7 +530,7 @@ static void step(void)
         case 1: edge(); break;
         case 2:
             for (uint32_t samples = below(60); samples > 0; samples--) {
-                core_light_sample(&core, (uint16_t)below(1024));
+                light();
             }
             break;
         case 3: core_dark_sample(&core, (uint16_t)below(1024)); break;
@@ -475,11 +563,14 @@ int main(int count, char **arguments)
     while (bench.frames < frames) {
         step();
     }
-    printf("%llu frames in %.1f s: %llu answers (%llu refusals), %llu events, %llu edges, %llu interrupts inside calls, "
-           "%llu arms, %llu syncs let through, %llu fires, %llu boots\n",
+    printf("%llu frames in %.1f s: %llu answers (%llu refusals), %llu events, %llu edges, %llu interrupts inside the core "
+           "(%llu between two blocks), %llu windows measured, "
+           "%llu arms, %llu syncs let through, %llu fires, %llu too late, %llu boots\n",
            (unsigned long long)bench.frames, (double)(clock() - begun) / CLOCKS_PER_SEC,
            (unsigned long long)bench.replies, (unsigned long long)bench.errors, (unsigned long long)bench.events,
-           (unsigned long long)bench.edges, (unsigned long long)bench.nested, (unsigned long long)bench.arms,
-           (unsigned long long)bench.lit_syncs, (unsigned long long)bench.fires, (unsigned long long)bench.boots);
+           (unsigned long long)bench.edges, (unsigned long long)bench.nested, (unsigned long long)bench.in_blocks,
+           (unsigned long long)bench.measured, (unsigned long long)bench.arms,
+           (unsigned long long)bench.lit_syncs, (unsigned long long)bench.fires, (unsigned long long)bench.late,
+           (unsigned long long)bench.boots);
     return 0;
 }

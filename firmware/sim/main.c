@@ -26,19 +26,18 @@
  *   < LINE                   the board said (uart stdio)
  *
  * Of simavr 1.6 one must know: a pin's level lasts only with SET_EXTERNAL, because every write to the port puts the
- * pull-ups back, and an unchanged one is not written again after a reset has cleared PIND; the ADC's result is what its pin has when the result is read; a reset clears RAM and forgets all
- * cycle timers; an interrupt is served between instructions but costs no response cycles, of which the chip takes
- * four and, for its synchroniser, up to two; its UART counts 11 bits a byte, so the line is 8 % slower than a real
- * one; and its EEPROM writes last no time. */
+ * pull-ups back, and an unchanged one is not written again after a reset has cleared PIND; the ADC's result is what
+ * its pin has when the result is read; a reset clears RAM and forgets all cycle timers; an interrupt is served
+ * between instructions but costs no response cycles, of which the chip takes four and, for its synchroniser, up to
+ * two; its UART counts 11 bits a byte, so the line is 8 % slower than a real one; and its EEPROM writes last no
+ * time. */
 #define _GNU_SOURCE
 #include "hex.h"
 #include "light.h"
+#include "uart.h"
 
 #include <avr_adc.h>
 #include <avr_ioport.h>
-#include <avr_uart.h>
-#include <errno.h>
-#include <fcntl.h>
 #include <poll.h>
 #include <sim_avr.h>
 #include <sim_time.h>
@@ -47,11 +46,10 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <termios.h>
 #include <time.h>
 #include <unistd.h>
 
-enum { HZ = 16000000, BYTE_CYCLES = 1504, SYNC_PIN = 2, TRIGGER_PIN = 4, READY_PIN = 7, ARMED_PIN = 5 };
+enum { HZ = 16000000, SYNC_PIN = 2, TRIGGER_PIN = 4, READY_PIN = 7, ARMED_PIN = 5 };
 enum { VOLT_MV = 5000, UNUSED = 0xC5, RAM_START = 0x100, PIND = 0x29 };
 
 static avr_t *avr;
@@ -59,14 +57,7 @@ static FILE *out;
 static struct light light = { .dark = 12.3, .noise = 0.5, .flicker_hz = 100, .energy = 1, .random = 1 };
 static bool real_time, was_reset, contact_closed, ready = true, trigger_high, armed_lit;
 
-static enum { UART_PTY, UART_STDIO, UART_OFF } uart = UART_PTY;
-static int pty = -1;
-
-/* Bytes on their way to the board, and the line it is sending. */
-static uint8_t rx_queue[1 << 16];
-static size_t rx_head, rx_tail;
-static char said[512];
-static size_t said_length;
+/* The start of the line that `run` waits for. */
 static const char *awaited;
 static bool heard_awaited;
 
@@ -166,77 +157,12 @@ static void on_conversion(avr_irq_t *irq, uint32_t value, void *unused)
     avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0), millivolts(light_sample(&light, now_us())));
 }
 
-/* ---- UART ---- */
-
-static avr_cycle_count_t next_byte(avr_t *of, avr_cycle_count_t when, void *unused)
+static void on_line(const char *line)
 {
-    (void)of, (void)unused;
-    if (rx_tail == rx_head) {
-        return 0;
+    if (uart_leads_to() == UART_STDIO) {
+        tell("< %s", line);
     }
-    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT), rx_queue[rx_tail]);
-    rx_tail = (rx_tail + 1) % sizeof rx_queue;
-    return when + BYTE_CYCLES;
-}
-
-static void to_board(const uint8_t *bytes, size_t count)
-{
-    const bool idle = rx_head == rx_tail;
-    for (size_t i = 0; i < count; i++) {
-        rx_queue[rx_head] = bytes[i];
-        rx_head = (rx_head + 1) % sizeof rx_queue;
-    }
-    if (idle && count > 0 && avr_cycle_timer_status(avr, next_byte, NULL) == 0) {
-        avr_cycle_timer_register(avr, BYTE_CYCLES, next_byte, NULL);
-    }
-}
-
-static void on_byte(avr_irq_t *irq, uint32_t value, void *unused)
-{
-    (void)irq, (void)unused;
-    const uint8_t byte = (uint8_t)value;
-    if (uart == UART_PTY && pty >= 0) {
-        /* Bytes that no one listens to are lost, as on a real wire. */
-        const ssize_t written = write(pty, &byte, 1);
-        (void)written;
-    }
-    if (byte != '\n' && said_length + 1 < sizeof said) {
-        said[said_length++] = (char)byte;
-        return;
-    }
-    said[said_length] = '\0';
-    said_length = 0;
-    if (uart == UART_STDIO) {
-        tell("< %s", said);
-    }
-    heard_awaited |= awaited != NULL && strncmp(said, awaited, strlen(awaited)) == 0;
-}
-
-/* True if a terminal is there now. */
-static bool plug(char *path, size_t size)
-{
-    pty = posix_openpt(O_RDWR | O_NOCTTY | O_CLOEXEC | O_NONBLOCK);
-    if (pty < 0 || grantpt(pty) != 0 || unlockpt(pty) != 0 || ptsname_r(pty, path, size) != 0) {
-        return false;
-    }
-    const int slave = open(path, O_RDWR | O_NOCTTY | O_CLOEXEC);
-    struct termios line;
-    if (slave < 0 || tcgetattr(slave, &line) != 0) {
-        return false;
-    }
-    cfmakeraw(&line);
-    const bool set = tcsetattr(slave, TCSANOW, &line) == 0;
-    close(slave);
-    return set;
-}
-
-static void read_terminal(void)
-{
-    uint8_t bytes[256];
-    const ssize_t count = pty >= 0 ? read(pty, bytes, sizeof bytes) : 0;
-    if (count > 0 && uart == UART_PTY) {
-        to_board(bytes, (size_t)count);
-    }
+    heard_awaited |= awaited != NULL && strncmp(line, awaited, strlen(awaited)) == 0;
 }
 
 /* ---- time ---- */
@@ -256,8 +182,7 @@ static void after_reset(void)
     on_armed(NULL, 0, NULL);
     memset(avr->data + RAM_START, UNUSED, avr->ramend + 1u - RAM_START);
     drive_pins();
-    said_length = 0;
-    rx_tail = rx_head;
+    uart_reset();
     if (edge_next < edge_count) {
         const avr_cycle_count_t at = edges[edge_next].at;
         avr_cycle_timer_register(avr, at > avr->cycle ? at - avr->cycle : 1, next_edge, NULL);
@@ -314,7 +239,7 @@ static void keep_pace(void)
     }
     const avr_cycle_count_t end = avr->cycle + gone * 16u / 1000u;
     while (avr->cycle < end) {
-        read_terminal();
+        uart_read_terminal();
         const avr_cycle_count_t slice = avr->cycle + HZ / 1000;
         run_until(slice < end ? slice : end);
     }
@@ -392,7 +317,7 @@ static bool command_say(const char *text)
         }
     }
     bytes[count++] = '\n';
-    to_board(bytes, count);
+    uart_to_board(bytes, count);
     return true;
 }
 
@@ -455,14 +380,14 @@ static void command(char *line)
         return;
     } else if (strcmp(line, "plug") == 0) {
         char path[64];
-        tell(pty < 0 && plug(path, sizeof path) ? "ok %s" : "err it is plugged in, or there are no terminals", path);
+        tell(uart_plug(path, sizeof path) ? "ok %s" : "err it is plugged in, or there are no terminals", path);
         return;
     } else if (strcmp(line, "pace") == 0) {
         done = strcmp(words, "real") == 0 || strcmp(words, "step") == 0;
         real_time = strcmp(words, "real") == 0;
     } else if (strcmp(line, "uart") == 0) {
         done = strcmp(words, "pty") == 0 || strcmp(words, "stdio") == 0 || strcmp(words, "off") == 0;
-        uart = strcmp(words, "pty") == 0 ? UART_PTY : strcmp(words, "stdio") == 0 ? UART_STDIO : UART_OFF;
+        uart_lead_to(strcmp(words, "pty") == 0 ? UART_PTY : strcmp(words, "stdio") == 0 ? UART_STDIO : UART_OFF);
     } else if (strcmp(line, "say") == 0) {
         done = command_say(words);
     } else if (strcmp(line, "contact") == 0) {
@@ -480,8 +405,7 @@ static void command(char *line)
         avr_regbit_set(avr, avr->reset_flags.extrf);
         after_reset();
     } else if (strcmp(line, "unplug") == 0) {
-        close(pty);
-        pty = -1;
+        uart_unplug();
     } else if (strcmp(line, "quit") == 0) {
         exit(0);
     } else {
@@ -552,15 +476,13 @@ int main(int count, char **arguments)
     if (count == 3) {
         avr->reset_pc = avr->pc = load(arguments[2]); /* as the fuse BOOTRST has it */
     }
-    uint32_t flags = 0;
-    avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
+    uart_attach(avr, on_line);
     avr_irq_register_notify(pin('D', TRIGGER_PIN), on_trigger, NULL);
     avr_irq_register_notify(pin('B', ARMED_PIN), on_armed, NULL);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_OUT_TRIGGER), on_conversion, NULL);
-    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);
 
     char path[64];
-    if (!plug(path, sizeof path)) {
+    if (!uart_plug(path, sizeof path)) {
         die("there are no pseudo terminals");
     }
     tell("%s", path);

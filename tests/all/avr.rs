@@ -211,7 +211,11 @@ pub(crate) struct Desk {
 impl Desk {
     /// A board that has booted; nobody has greeted it.
     pub(crate) fn booted() -> Self {
-        let mut sim = Sim::start();
+        Self::on(Sim::start())
+    }
+
+    /// The same, on a board that has just been powered up.
+    pub(crate) fn on(mut sim: Sim) -> Self {
         sim.command("uart stdio");
         let mut desk = Self { sim, seq: 0, events: Vec::new(), reports: Vec::new(), answers: Vec::new() };
         desk.wait_ms(300.0);
@@ -221,11 +225,16 @@ impl Desk {
     /// Greeted, and with a flash that recycles in 20 ms.
     pub(crate) fn greeted() -> Self {
         let mut desk = Self::booted();
-        desk.ok("hello v=1 strict=1");
-        desk.ok("cfg rec=20");
-        desk.sim.command("light recycle=20000");
-        desk.events.clear();
+        desk.greet();
         desk
+    }
+
+    /// Says hello, and makes board and flash recycle in 20 ms.
+    pub(crate) fn greet(&mut self) {
+        self.ok("hello v=1 strict=1");
+        self.ok("cfg rec=20");
+        self.sim.command("light recycle=20000");
+        self.events.clear();
     }
 
     fn sort(&mut self) {

@@ -13,6 +13,7 @@ use crate::rig::flash::line;
 const POLL: u64 = 500;
 const GAP: u64 = 50_000;
 const STUCK: u64 = 2_000_000;
+const LATE: u64 = 50_000;
 
 /// What is asked. Texts that are no request carry the code they are refused with, and whether a person's such line
 /// is a sign of life.
@@ -230,9 +231,11 @@ impl Model {
         let now = self.now;
         let silent = now - self.heard >= u64::from(self.config.sil_ms) * 1000;
         let over = self.armed.as_ref().is_some_and(|armed| now - armed.at >= armed.ttl);
-        let why = match (self.armed.is_some() || self.fire.is_some(), silent, over) {
-            (true, true, _) => Some("silence"),
-            (_, _, true) => Some("ttl"),
+        let late = self.fire.is_some_and(|(_, due)| now >= due + LATE);
+        let why = match (self.armed.is_some() || self.fire.is_some(), silent, over, late) {
+            (true, true, ..) => Some("silence"),
+            (_, _, true, _) => Some("ttl"),
+            (.., true) => Some("late"),
             _ => None,
         };
         if why.is_some() {
@@ -241,6 +244,7 @@ impl Model {
         if let Some((tag, due)) = self.fire
             && now >= due
             && self.locked.is_none()
+            && self.charged()
         {
             self.fire = None;
             self.begin(true, true, tag);
