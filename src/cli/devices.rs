@@ -6,7 +6,7 @@ use crate::capture::{AfterPair, Events, FlashKind, RigSource, Topic};
 use crate::http::{StageOrder, StudioBody, StudioControl};
 use crate::progress::Progress;
 use crate::rig::camera::{self, HostedCamera};
-use crate::rig::flash::{FlashSettings, SerialFlash};
+use crate::rig::flash::{Finder, FlashSettings, SerialFlash};
 use crate::rig::{CameraError, CameraInfo, Flash, FlashError};
 use crate::studio::camera::CameraServer;
 use crate::studio::world::{Stage, StageError, World};
@@ -74,7 +74,10 @@ impl DeviceArgs {
                 let device = PathBuf::from(device);
                 Box::new(move || controller(&device, settings))
             }
-            None => Box::new(move || first_controller(settings)),
+            None => {
+                let finder = Finder::default();
+                Box::new(move || first_controller(&finder, settings))
+            }
         };
         Ok((RigSource { camera, cameras: Box::new(camera::list), flash }, None))
     }
@@ -93,9 +96,9 @@ fn controller(device: &Path, settings: FlashSettings) -> Result<FlashKind, Flash
     Ok(FlashKind::Controller(Box::new(SerialFlash::open_with(device, settings)?) as Box<dyn Flash>))
 }
 
-/// The first serial port behind which a controller answers; none where there are no ports.
-fn first_controller(settings: FlashSettings) -> Result<FlashKind, FlashError> {
-    Ok(match SerialFlash::open_first(settings)? {
+/// The first likely serial port behind which a controller answers; none where there are no such ports.
+fn first_controller(finder: &Finder, settings: FlashSettings) -> Result<FlashKind, FlashError> {
+    Ok(match finder.open(settings)? {
         Some(flash) => FlashKind::Controller(Box::new(flash)),
         None => FlashKind::None,
     })

@@ -5,7 +5,7 @@ use super::{CliError, CliResult, Exit};
 use crate::rig::flash::ports::{self, Port};
 use crate::rig::flash::trial::{self, BeforeTrial, TrialShot};
 use crate::rig::flash::upload::{self, BoardKind, Upload};
-use crate::rig::flash::{FlashSettings, Greeting, SerialFlash, greet};
+use crate::rig::flash::{Finder, FlashSettings, Greeting, SerialFlash, greet};
 use crate::rig::system::{Identity, Roots};
 use crate::studio::{BlankBoard, Board, BoardOptions, SyncContact};
 use clap::Subcommand;
@@ -107,13 +107,16 @@ fn open(at: &At, settings: FlashSettings) -> Result<(Option<Arc<Board>>, SerialF
     }
     let flash = match &at.port {
         Some(port) => SerialFlash::open_with(port, settings).map_err(CliError::new)?,
-        None => SerialFlash::open_first(settings).map_err(CliError::new)?.ok_or_else(no_port)?,
+        None => Finder::default().open(settings).map_err(CliError::new)?.ok_or_else(no_port)?,
     };
     Ok((None, flash))
 }
 
 fn no_port() -> CliError {
-    CliError::new("no serial port was found: plug the flash controller in, or try --studio")
+    CliError::new(
+        "no flash controller was found: plug it in, name its port if its USB chip is none of the usual (`unlit flash \
+         ports` lists them), or try --studio",
+    )
 }
 
 fn list(ask: bool, json: bool, studio: bool) -> CliResult {

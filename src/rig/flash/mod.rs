@@ -7,6 +7,7 @@
 
 mod clock;
 mod condition;
+mod finder;
 mod greeting;
 pub(crate) mod line;
 mod link;
@@ -20,6 +21,7 @@ pub mod upload;
 mod worker;
 
 pub use clock::ClockState;
+pub use finder::Finder;
 pub use greeting::{Greeting, greet};
 pub use news::{FlashEvent, FlashNews};
 pub use ports::list;
@@ -74,19 +76,6 @@ impl SerialFlash {
                 advice: "the system gives no more threads; close other programs".into(),
             })?;
         Ok(Self { port, orders: Some(orders), shared, thread: Some(thread) })
-    }
-
-    /// The first of [`list`] behind which a controller answers; `None` where there are no ports. With ports but no
-    /// answer, the last port's error tells more than "none".
-    pub fn open_first(settings: FlashSettings) -> Result<Option<Self>, FlashError> {
-        let mut failure = None;
-        for path in list() {
-            match Self::open_with(&path, settings) {
-                Ok(flash) => return Ok(Some(flash)),
-                Err(error) => failure = Some(error),
-            }
-        }
-        failure.map_or(Ok(None), Err)
     }
 
     /// Who answers: firmware, processor, port.
