@@ -1,6 +1,6 @@
 //! `unlit flash`: the flash controller by itself, without a camera.
 
-use super::devices::recycle_time;
+use super::devices::ControllerArgs;
 use super::{CliError, CliResult, Exit};
 use crate::rig::flash::ports::{self, Port};
 use crate::rig::flash::trial::{self, BeforeTrial, TrialShot};
@@ -41,9 +41,8 @@ pub(super) enum Flash {
         /// How often to fire.
         #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
         shots: u32,
-        /// Recycle time of the flash; without it the controller's own.
-        #[arg(long, value_name = "SECONDS", value_parser = recycle_time)]
-        recycle: Option<Duration>,
+        #[command(flatten)]
+        controller: ControllerArgs,
         /// Prints JSON.
         #[arg(long)]
         json: bool,
@@ -92,7 +91,7 @@ fn kind(name: &str) -> Result<BoardKind, String> {
 pub(super) fn run(what: &Flash) -> CliResult {
     match what {
         Flash::Ports { ask, json, studio } => list(*ask, *json, *studio),
-        Flash::Test { at, shots, recycle, json } => try_out(at, *shots, *recycle, *json),
+        Flash::Test { at, shots, controller, json } => try_out(at, *shots, controller.settings(), *json),
         Flash::Watch { at, json } => watch(at, *json),
         Flash::Upload { at, board, hex, avrdude } => program(at, *board, hex.clone(), avrdude),
     }
@@ -177,8 +176,8 @@ fn show_port(port: &Port) {
     }
 }
 
-fn try_out(at: &At, shots: u32, recycle: Option<Duration>, json: bool) -> CliResult {
-    let (_board, mut flash) = open(at, FlashSettings { recycle, ..FlashSettings::default() })?;
+fn try_out(at: &At, shots: u32, settings: FlashSettings, json: bool) -> CliResult {
+    let (_board, mut flash) = open(at, settings)?;
     let before = trial::before(&mut flash).map_err(CliError::new)?;
     if !json {
         show_before(&before);

@@ -39,9 +39,10 @@ fn test_fires_and_judges_the_photodiode() {
     {
         assert!(text.contains(part), "no {part}: {text}");
     }
-    let output = unlit(&["test", "--studio", "--json"]);
+    let output = unlit(&["test", "--studio", "--json", "--mains", "60"]);
     let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(outcome["shots"][0]["placement"], "good", "{outcome}");
+    assert_eq!(outcome["before"]["settings"]["window_us"], 25_000, "{outcome}");
 }
 
 #[test]
