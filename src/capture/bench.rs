@@ -220,7 +220,7 @@ impl Bench {
             | FlashError::Lost { .. } => {
                 self.flash = None;
             }
-            FlashError::Refused { .. } | FlashError::NotReady { .. } => {}
+            FlashError::Refused { .. } | FlashError::NotReady { .. } | FlashError::ReadyLow => {}
         }
     }
 

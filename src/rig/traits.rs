@@ -316,11 +316,20 @@ pub enum FlashError {
         word: String,
     },
     /// The flash has not recycled.
-    #[error("flash is still recycling; wait {wait_ms} ms")]
+    #[error(
+        "flash is still recycling: wait {:.1} s, or set a shorter recycle time (`--recycle`) if the flash needs less",
+        Duration::from_millis(*wait_ms).as_secs_f64()
+    )]
     NotReady {
         /// How long to wait.
         wait_ms: u64,
     },
+    /// The flash's ready output is low; no one can tell for how long.
+    #[error(
+        "flash is not charged, says its ready output, which stays low: wait, switch the flash on, or see whether the \
+         output's wire is loose; where none is wired, start without `--ready-output`"
+    )]
+    ReadyLow,
     /// The link broke.
     #[error("flash controller on {port} was unplugged or its link broke: {reason}")]
     Lost {
@@ -331,12 +340,17 @@ pub enum FlashError {
     },
 }
 
+/// How long whoever shoots waits for a flash to recycle.
+pub const RECYCLE_PATIENCE: Duration = Duration::from_secs(30);
+
 /// A flash controller between the camera's sync contact and the flash.
 pub trait Flash: Send {
     /// How it stands.
     fn status(&mut self) -> FlashStatus;
 
-    /// Lets exactly the next sync through, once, if it comes within `time_to_live`. Waits for the flash to recycle.
+    /// Lets exactly the next sync through, once, if it comes within `time_to_live`. Of a flash that recycles it waits
+    /// for the last second only; what takes longer is [`FlashError::NotReady`] or [`FlashError::ReadyLow`], and the
+    /// caller's to wait for, up to [`RECYCLE_PATIENCE`].
     fn arm(&mut self, tag: u32, time_to_live: Duration) -> Result<(), FlashError>;
 
     /// Closes the gate. Dark frames are shot with the gate closed.
