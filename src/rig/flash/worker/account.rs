@@ -119,9 +119,7 @@ impl Worker {
                 let why = event.fields.word("why").unwrap_or("unknown").to_owned();
                 let silenced = why == "silence";
                 if silenced {
-                    self.tell_broken(
-                        "this computer was silent for too long, and the gate closed; take this frame again",
-                    );
+                    self.tell_broken("this computer was silent for too long, and the gate closed");
                 }
                 self.shared.update(|state| {
                     state.condition.silenced |= silenced;
@@ -227,7 +225,7 @@ impl Worker {
             }
             self.fetch_up_to(shots)?;
         }
-        self.tell_broken("the sync contact does not come to rest");
+        self.tell_broken("the sync contact does not come to rest (is its cable loose?)");
         Ok(())
     }
 
@@ -263,7 +261,7 @@ impl Worker {
                 state.condition.stuck = false;
                 state.condition.restarted = Some(Instant::now());
             });
-            self.tell_broken("it restarted; its gate is closed, take this frame again");
+            self.tell_broken("it restarted, and its gate is closed");
             self.shared.tell(FlashNews::Boot { boot: hello.boot, reset: hello.reset });
         }
         if reconnected {
@@ -279,9 +277,7 @@ impl Worker {
                     armed && !state.shots.iter().any(|sync| sync.triggered)
                 });
                 if robbed && same {
-                    self.tell_broken(
-                        "the link broke while the gate was open, which closed it; take this frame again",
-                    );
+                    self.tell_broken("the link broke while the gate was open, which closed it");
                 }
             }
             // A board without its settings is none to shoot with.
