@@ -270,7 +270,7 @@ fn program(at: &At, board: Option<BoardKind>, hex: Option<PathBuf>, avrdude: &Os
     };
     let port = ports::look_at(&path, &roots, &me);
     let kinds = board.map_or_else(|| BoardKind::guess(&port).to_vec(), |kind| vec![kind]);
-    let upload = Upload { port: path, kinds, hex, avrdude: avrdude.clone() };
+    let upload = Upload { port: path, kinds, hex, avrdude: avrdude.clone(), silence: upload::SILENCE };
     upload.check_free(&port).map_err(CliError::new)?;
     let greeting = upload.run(|words| eprint!("{words}")).map_err(CliError::new)?;
     println!(
