@@ -158,7 +158,9 @@ impl Bench {
     pub(super) fn flash_may_return(&self, error: &CaptureError) -> bool {
         match error {
             CaptureError::Flash(FlashError::Silent { .. } | FlashError::Lost { .. }) => true,
-            CaptureError::Flash(FlashError::Open { .. }) | CaptureError::NoFlash => self.had_controller,
+            // A boot loader that is just starting says things that no controller says.
+            CaptureError::Flash(FlashError::Open { .. } | FlashError::Firmware { .. })
+            | CaptureError::NoFlash => self.had_controller,
             _ => false,
         }
     }
@@ -218,7 +220,7 @@ impl Bench {
             | FlashError::Lost { .. } => {
                 self.flash = None;
             }
-            FlashError::Refused { .. } | FlashError::NotReady { .. } => {}
+            FlashError::Refused { .. } | FlashError::NotReady { .. } | FlashError::ReadyLow => {}
         }
     }
 
@@ -257,5 +259,6 @@ impl Bench {
 }
 
 /// What to do when there is no flash.
-pub(super) const NO_FLASH: &str = "no flash controller found: plug it in, or start again with `--flash manual` \
-                                   to switch the flash by hand";
+pub(super) const NO_FLASH: &str = "no flash controller found: plug it in, or start again with `--flash PORT` if its USB \
+                                   chip is none of the usual (`unlit flash ports`), or with `--flash manual` to \
+                                   switch the flash by hand";

@@ -112,7 +112,7 @@ impl CaptureError {
             CaptureError::Flash(FlashError::Firmware { .. }) => "flash_firmware",
             CaptureError::Flash(FlashError::Silent { .. }) => "flash_silent",
             CaptureError::Flash(FlashError::Refused { .. }) => "flash_refused",
-            CaptureError::Flash(FlashError::NotReady { .. }) => "flash_not_ready",
+            CaptureError::Flash(FlashError::NotReady { .. } | FlashError::ReadyLow) => "flash_not_ready",
             CaptureError::Flash(FlashError::Lost { .. }) => "flash_lost",
             CaptureError::NoFlash => "flash_missing",
             CaptureError::NotLocked(_) => "camera_not_locked",

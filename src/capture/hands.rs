@@ -5,7 +5,7 @@ use super::error::CaptureError;
 use super::prompt::Prompter;
 use crate::pair::{Dial, Exposure, FlashSync, Offered, Settings};
 use crate::progress::{Cancelled, Progress};
-use crate::rig::{CameraError, Flash, FlashError, LockReport, LockState, Shot};
+use crate::rig::{CameraError, Flash, FlashError, LockReport, LockState, RECYCLE_PATIENCE, Shot};
 use std::time::{Duration, Instant};
 
 /// How long the gate stays open for the lit frame. A tethered body may take seconds from the request to the
@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 const ARMED_FOR: Duration = Duration::from_secs(15);
 /// How long the controller's word on a sync may be under way after the camera has delivered the file.
 const SYNC_PATIENCE: Duration = Duration::from_millis(700);
-/// How long a flash may take to recycle before the pair is given up.
-const RECYCLE_PATIENCE: Duration = Duration::from_secs(30);
+/// How often a flash that recycles is asked whether it is ready, and the operator whether he still wants it.
+const RECYCLE_GLANCE: Duration = Duration::from_millis(250);
 /// Stops by which two labels of the same dial position may differ; neighbours are a third of a stop apart.
 const SAME_LABEL_STOPS: f64 = 0.05;
 
@@ -163,7 +163,7 @@ pub(super) fn exposure_of(settings: &Settings) -> Option<Exposure> {
     Some(Exposure { shutter: settings.shutter?, aperture: settings.aperture?, iso: settings.iso? })
 }
 
-/// Arms, waiting for a flash that says how long it still recycles.
+/// Arms, waiting for a flash that recycles up to [`RECYCLE_PATIENCE`] from now.
 fn arm_when_recycled(
     flash: &mut dyn Flash,
     tag: u32,
@@ -171,19 +171,24 @@ fn arm_when_recycled(
 ) -> Result<Result<(), FlashError>, Cancelled> {
     let end = Instant::now() + RECYCLE_PATIENCE;
     loop {
-        match flash.arm(tag, ARMED_FOR) {
-            Err(FlashError::NotReady { wait_ms }) if Instant::now() < end => {
-                progress.check()?;
-                std::thread::sleep(Duration::from_millis(wait_ms.clamp(10, 250)));
-            }
-            outcome => return Ok(outcome),
+        let outcome = flash.arm(tag, ARMED_FOR);
+        let wait = match &outcome {
+            Err(FlashError::NotReady { wait_ms }) => Duration::from_millis(*wait_ms),
+            Err(FlashError::ReadyLow) => RECYCLE_GLANCE,
+            _ => return Ok(outcome),
+        };
+        if Instant::now() + wait > end {
+            return Ok(outcome);
         }
+        progress.check()?;
+        std::thread::sleep(wait.clamp(Duration::from_millis(10), RECYCLE_GLANCE));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rig::FlashStatus;
     use crate::units::{FNumber, Iso, Seconds};
 
     #[test]
@@ -202,5 +207,53 @@ mod tests {
             [Dial::Shutter(wanted.shutter), Dial::Iso(wanted.iso)]
         );
         assert_eq!(exposure_of(&settings(0.01, None)), None);
+    }
+
+    /// A flash that is never ready.
+    struct Never(fn() -> FlashError);
+
+    impl Flash for Never {
+        fn status(&mut self) -> FlashStatus {
+            unreachable!("nobody asks")
+        }
+
+        fn arm(&mut self, _: u32, _: Duration) -> Result<(), FlashError> {
+            Err((self.0)())
+        }
+
+        fn disarm(&mut self) -> Result<(), FlashError> {
+            Ok(())
+        }
+
+        fn syncs(&mut self, _: Duration) -> Result<Vec<FlashSync>, FlashError> {
+            Ok(Vec::new())
+        }
+    }
+
+    #[test]
+    fn a_wait_for_a_flash_that_is_not_ready_ends_when_it_is_cancelled() {
+        for trouble in [|| FlashError::ReadyLow, || FlashError::NotReady { wait_ms: 20_000 }] {
+            let progress = Progress::silent();
+            let asked = progress.clone();
+            let begun = Instant::now();
+            std::thread::scope(|scope| {
+                scope.spawn(move || {
+                    std::thread::sleep(Duration::from_millis(100));
+                    asked.cancel();
+                });
+                let outcome = arm_when_recycled(&mut Never(trouble), 1, &progress);
+                assert!(outcome.is_err(), "{outcome:?}");
+            });
+            assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+        }
+    }
+
+    #[test]
+    fn a_recycling_longer_than_anyone_waits_is_told_at_once() {
+        let begun = Instant::now();
+        let mut flash = Never(|| FlashError::NotReady { wait_ms: 45_000 });
+        let outcome = arm_when_recycled(&mut flash, 1, &Progress::silent()).unwrap();
+        assert!(outcome.unwrap_err().to_string().contains("wait 45.0 s"));
+        assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
     }
 }

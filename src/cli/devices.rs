@@ -6,7 +6,7 @@ use crate::capture::{AfterPair, Events, FlashKind, RigSource, Topic};
 use crate::http::{StageOrder, StudioBody, StudioControl};
 use crate::progress::Progress;
 use crate::rig::camera::{self, HostedCamera};
-use crate::rig::flash::{FlashSettings, SerialFlash};
+use crate::rig::flash::{Finder, FlashSettings, SerialFlash};
 use crate::rig::{CameraError, CameraInfo, Flash, FlashError};
 use crate::studio::camera::CameraServer;
 use crate::studio::world::{Stage, StageError, World};
@@ -28,13 +28,58 @@ pub(super) struct DeviceArgs {
     /// the first controller that answers.
     #[arg(long, value_name = "DEV|manual|none")]
     flash: Option<String>,
+    #[command(flatten)]
+    controller: ControllerArgs,
+}
+
+/// What the flash controller is told of flash and room, each time that its port is opened (which resets an Uno) and
+/// each time that it has restarted.
+#[derive(clap::Args)]
+pub(super) struct ControllerArgs {
     /// Recycle time of the flash, which the controller waits out after each trigger; without it the controller's own.
     #[arg(long, value_name = "SECONDS", value_parser = recycle_time)]
     recycle: Option<Duration>,
+    /// Mains frequency of the room's lamps: light is gathered for whole periods of their flicker, 20 ms
+    /// at 50 Hz and 25 ms at 60 Hz; without it the controller's own, 20 ms.
+    #[arg(long, value_name = "50|60")]
+    mains: Option<Mains>,
+    /// The flash's ready output is wired to the controller, and must be high before each trigger.
+    #[arg(long)]
+    ready_output: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, clap::ValueEnum)]
+enum Mains {
+    #[value(name = "50")]
+    Hz50,
+    #[value(name = "60")]
+    Hz60,
+}
+
+impl Mains {
+    /// Lamps flicker at twice the mains' frequency; whole periods of it cancel.
+    fn window(self) -> Duration {
+        match self {
+            Mains::Hz50 => Duration::from_millis(20),
+            Mains::Hz60 => Duration::from_millis(25),
+        }
+    }
+}
+
+impl ControllerArgs {
+    /// What is not given stays as the board has it.
+    pub(super) fn settings(&self) -> FlashSettings {
+        FlashSettings {
+            recycle: self.recycle,
+            window: self.mains.map(Mains::window),
+            ready_output: self.ready_output.then_some(true),
+            ..FlashSettings::default()
+        }
+    }
 }
 
 /// Up to a minute, as the controller keeps it.
-pub(super) fn recycle_time(text: &str) -> Result<Duration, String> {
+fn recycle_time(text: &str) -> Result<Duration, String> {
     let seconds: f64 = text.parse().map_err(|_| format!("{text} is no number of seconds"))?;
     if !(0.0..=60.0).contains(&seconds) {
         return Err(format!("{text} s: the controller keeps recycle times of 0 to 60 s"));
@@ -53,7 +98,7 @@ impl DeviceArgs {
                 port: port.clone(),
                 serial: None,
             }];
-            let settings = self.flash_settings();
+            let settings = self.controller.settings();
             let source = RigSource {
                 camera: Box::new(move |_| Ok(Box::new(HostedCamera::open(Some(&port))?))),
                 cameras: Box::new(move || Ok(simulated.clone())),
@@ -62,7 +107,7 @@ impl DeviceArgs {
             return Ok((source, Some(Arc::new(studio))));
         }
         let port = self.camera.clone();
-        let settings = self.flash_settings();
+        let settings = self.controller.settings();
         let camera =
             Box::new(move |chosen: Option<&str>| -> Result<Box<dyn crate::rig::Camera>, CameraError> {
                 Ok(Box::new(HostedCamera::open(chosen.or(port.as_deref()))?))
@@ -74,13 +119,12 @@ impl DeviceArgs {
                 let device = PathBuf::from(device);
                 Box::new(move || controller(&device, settings))
             }
-            None => Box::new(move || first_controller(settings)),
+            None => {
+                let finder = Finder::default();
+                Box::new(move || first_controller(&finder, settings))
+            }
         };
         Ok((RigSource { camera, cameras: Box::new(camera::list), flash }, None))
-    }
-
-    fn flash_settings(&self) -> FlashSettings {
-        FlashSettings { recycle: self.recycle, ..FlashSettings::default() }
     }
 
     /// Whether the operator switches the flash.
@@ -93,9 +137,9 @@ fn controller(device: &Path, settings: FlashSettings) -> Result<FlashKind, Flash
     Ok(FlashKind::Controller(Box::new(SerialFlash::open_with(device, settings)?) as Box<dyn Flash>))
 }
 
-/// The first serial port behind which a controller answers; none where there are no ports.
-fn first_controller(settings: FlashSettings) -> Result<FlashKind, FlashError> {
-    Ok(match SerialFlash::open_first(settings)? {
+/// The first likely serial port behind which a controller answers; none where there are no such ports.
+fn first_controller(finder: &Finder, settings: FlashSettings) -> Result<FlashKind, FlashError> {
+    Ok(match finder.open(settings)? {
         Some(flash) => FlashKind::Controller(Box::new(flash)),
         None => FlashKind::None,
     })
@@ -174,5 +218,36 @@ impl StudioControl for Studio {
             }
         };
         self.world.set_stage(stage).map_err(|error| error.to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        controller: ControllerArgs,
+    }
+
+    fn settings(words: &[&str]) -> Option<FlashSettings> {
+        let line = Line::try_parse_from(["unlit"].iter().chain(words)).ok()?;
+        Some(line.controller.settings())
+    }
+
+    #[test]
+    fn the_board_is_told_only_what_is_given() {
+        assert_eq!(settings(&[]), Some(FlashSettings::default()));
+        for (mains, ms) in [("50", 20), ("60", 25)] {
+            let window = settings(&["--mains", mains]).unwrap().window.unwrap();
+            assert_eq!(window, Duration::from_millis(ms));
+            let period = 1.0 / (2.0 * mains.parse::<f64>().unwrap());
+            let periods = window.as_secs_f64() / period;
+            assert!((periods - periods.round()).abs() < 1e-9, "{periods} periods of the flicker");
+        }
+        assert_eq!(settings(&["--mains", "55"]), None);
+        assert_eq!(settings(&["--ready-output"]).unwrap().ready_output, Some(true));
     }
 }

@@ -1,11 +1,11 @@
 //! `unlit flash`: the flash controller by itself, without a camera.
 
-use super::devices::recycle_time;
+use super::devices::ControllerArgs;
 use super::{CliError, CliResult, Exit};
 use crate::rig::flash::ports::{self, Port};
 use crate::rig::flash::trial::{self, BeforeTrial, TrialShot};
 use crate::rig::flash::upload::{self, BoardKind, Upload};
-use crate::rig::flash::{FlashSettings, Greeting, SerialFlash, greet};
+use crate::rig::flash::{Finder, FlashSettings, Greeting, SerialFlash, greet};
 use crate::rig::system::{Identity, Roots};
 use crate::studio::{BlankBoard, Board, BoardOptions, SyncContact};
 use clap::Subcommand;
@@ -41,9 +41,8 @@ pub(super) enum Flash {
         /// How often to fire.
         #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
         shots: u32,
-        /// Recycle time of the flash; without it the controller's own.
-        #[arg(long, value_name = "SECONDS", value_parser = recycle_time)]
-        recycle: Option<Duration>,
+        #[command(flatten)]
+        controller: ControllerArgs,
         /// Prints JSON.
         #[arg(long)]
         json: bool,
@@ -92,7 +91,7 @@ fn kind(name: &str) -> Result<BoardKind, String> {
 pub(super) fn run(what: &Flash) -> CliResult {
     match what {
         Flash::Ports { ask, json, studio } => list(*ask, *json, *studio),
-        Flash::Test { at, shots, recycle, json } => try_out(at, *shots, *recycle, *json),
+        Flash::Test { at, shots, controller, json } => try_out(at, *shots, controller.settings(), *json),
         Flash::Watch { at, json } => watch(at, *json),
         Flash::Upload { at, board, hex, avrdude } => program(at, *board, hex.clone(), avrdude),
     }
@@ -107,13 +106,16 @@ fn open(at: &At, settings: FlashSettings) -> Result<(Option<Arc<Board>>, SerialF
     }
     let flash = match &at.port {
         Some(port) => SerialFlash::open_with(port, settings).map_err(CliError::new)?,
-        None => SerialFlash::open_first(settings).map_err(CliError::new)?.ok_or_else(no_port)?,
+        None => Finder::default().open(settings).map_err(CliError::new)?.ok_or_else(no_port)?,
     };
     Ok((None, flash))
 }
 
 fn no_port() -> CliError {
-    CliError::new("no serial port was found: plug the flash controller in, or try --studio")
+    CliError::new(
+        "no flash controller was found: plug it in, name its port if its USB chip is none of the usual (`unlit flash \
+         ports` lists them), or try --studio",
+    )
 }
 
 fn list(ask: bool, json: bool, studio: bool) -> CliResult {
@@ -174,8 +176,8 @@ fn show_port(port: &Port) {
     }
 }
 
-fn try_out(at: &At, shots: u32, recycle: Option<Duration>, json: bool) -> CliResult {
-    let (_board, mut flash) = open(at, FlashSettings { recycle, ..FlashSettings::default() })?;
+fn try_out(at: &At, shots: u32, settings: FlashSettings, json: bool) -> CliResult {
+    let (_board, mut flash) = open(at, settings)?;
     let before = trial::before(&mut flash).map_err(CliError::new)?;
     if !json {
         show_before(&before);
@@ -268,7 +270,7 @@ fn program(at: &At, board: Option<BoardKind>, hex: Option<PathBuf>, avrdude: &Os
     };
     let port = ports::look_at(&path, &roots, &me);
     let kinds = board.map_or_else(|| BoardKind::guess(&port).to_vec(), |kind| vec![kind]);
-    let upload = Upload { port: path, kinds, hex, avrdude: avrdude.clone() };
+    let upload = Upload { port: path, kinds, hex, avrdude: avrdude.clone(), silence: upload::SILENCE };
     upload.check_free(&port).map_err(CliError::new)?;
     let greeting = upload.run(|words| eprint!("{words}")).map_err(CliError::new)?;
     println!(

@@ -306,7 +306,7 @@ pub enum FlashError {
         request: String,
     },
     /// The board refused.
-    #[error("flash controller refused {request}: {word} (error {code})")]
+    #[error("flash controller refused {request}: {word} (error {code}); {}", remedy(*code))]
     Refused {
         /// The request.
         request: String,
@@ -316,27 +316,70 @@ pub enum FlashError {
         word: String,
     },
     /// The flash has not recycled.
-    #[error("flash is still recycling; wait {wait_ms} ms")]
+    #[error(
+        "flash is still recycling: wait {:.1} s, or set a shorter recycle time (`--recycle`) if the flash needs less",
+        Duration::from_millis(*wait_ms).as_secs_f64()
+    )]
     NotReady {
         /// How long to wait.
         wait_ms: u64,
     },
-    /// The link broke.
-    #[error("flash controller on {port} was unplugged or its link broke: {reason}")]
+    /// The flash's ready output is low; no one can tell for how long.
+    #[error(
+        "flash is not charged, says its ready output, which stays low: wait, switch the flash on, or see whether the \
+         output's wire is loose; where none is wired, start without `--ready-output`"
+    )]
+    ReadyLow,
+    /// The link broke, or the board cannot vouch for the frame under way.
+    #[error(
+        "flash controller on {port} failed: {reason}. If it was unplugged, plug it in again; if not, take the frame \
+         again, and look at its cable and power if this happens often"
+    )]
     Lost {
         /// The device path.
         port: String,
-        /// What the system said.
+        /// What the system said, or what became of the frame.
         reason: String,
     },
 }
+
+/// What to do about an error of the board; `firmware/PROTOCOL.md` has the numbers.
+fn remedy(code: u32) -> &'static str {
+    match code {
+        1..=3 | 6 => {
+            "what it is told arrives damaged: use another USB cable or socket, and keep the cable away from the flash's"
+        }
+        4 => "its firmware does not know this: bring it up to date with `unlit flash upload`",
+        5 => "the value is out of the range that its firmware takes (firmware/PROTOCOL.md): choose another",
+        7 => {
+            "it restarted and knows nobody: try again, and look at its cable and power if this happens often"
+        }
+        10 => {
+            "the flash recycles, or its ready output is low: wait a moment, and see whether the flash is on"
+        }
+        11 => {
+            "the camera's sync contact is closed, or a measurement runs. If it stays so, take the sync cable off the \
+             camera: if the contact opens then, the camera or another flash on it holds it; if not, the cable is shorted"
+        }
+        12 => "the last pulse was a moment ago: wait, and try again",
+        13 => "it no longer remembers that shot: take the frame again",
+        _ => {
+            "its firmware may be newer than this program: `unlit flash upload` gives it the one that belongs to it"
+        }
+    }
+}
+
+/// How long whoever shoots waits for a flash to recycle.
+pub const RECYCLE_PATIENCE: Duration = Duration::from_secs(30);
 
 /// A flash controller between the camera's sync contact and the flash.
 pub trait Flash: Send {
     /// How it stands.
     fn status(&mut self) -> FlashStatus;
 
-    /// Lets exactly the next sync through, once, if it comes within `time_to_live`. Waits for the flash to recycle.
+    /// Lets exactly the next sync through, once, if it comes within `time_to_live`. Of a flash that recycles it waits
+    /// for the last second only; what takes longer is [`FlashError::NotReady`] or [`FlashError::ReadyLow`], and the
+    /// caller's to wait for, up to [`RECYCLE_PATIENCE`].
     fn arm(&mut self, tag: u32, time_to_live: Duration) -> Result<(), FlashError>;
 
     /// Closes the gate. Dark frames are shot with the gate closed.
@@ -344,4 +387,26 @@ pub trait Flash: Send {
 
     /// The syncs seen since the last call, waiting up to `patience` for the first.
     fn syncs(&mut self, patience: Duration) -> Result<Vec<FlashSync>, FlashError>;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refusal_says_what_to_do_about_it() {
+        let words = |code| {
+            let (request, word) = ("arm tag=1 ttl=15000".to_owned(), "busy".to_owned());
+            FlashError::Refused { request, code, word }.to_string()
+        };
+        assert!(
+            words(11).contains("refused arm tag=1 ttl=15000: busy (error 11); the camera's sync contact")
+        );
+        assert!(words(11).contains("take the sync cable off"));
+        for (code, part) in
+            [(1, "cable"), (4, "unlit flash upload"), (5, "range"), (7, "restarted"), (10, "wait")]
+        {
+            assert!(words(code).contains(part), "{}", words(code));
+        }
+    }
 }

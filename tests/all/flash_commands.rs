@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 use unlit::rig::flash::ports::Port;
-use unlit::rig::flash::upload::{BoardKind, FIRMWARE, Upload, UploadError};
+use unlit::rig::flash::upload::{BoardKind, FIRMWARE, SILENCE, Upload, UploadError};
 use unlit::rig::system::Holder;
 use unlit::studio::{BlankBoard, BoardOptions};
 
@@ -39,9 +39,10 @@ fn test_fires_and_judges_the_photodiode() {
     {
         assert!(text.contains(part), "no {part}: {text}");
     }
-    let output = unlit(&["test", "--studio", "--json"]);
+    let output = unlit(&["test", "--studio", "--json", "--mains", "60"]);
     let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(outcome["shots"][0]["placement"], "good", "{outcome}");
+    assert_eq!(outcome["before"]["settings"]["window_us"], 25_000, "{outcome}");
 }
 
 #[test]
@@ -52,10 +53,18 @@ fn watch_shows_events_as_they_happen() {
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
-    let mut line = String::new();
-    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let (tell, told) = std::sync::mpsc::channel();
+    let mut out = BufReader::new(child.stdout.take().unwrap());
+    std::thread::spawn(move || {
+        let mut line = String::new();
+        out.read_line(&mut line).unwrap();
+        // A test that gave up waiting has failed already.
+        let _ = tell.send(line);
+    });
+    let line = told.recv_timeout(Duration::from_secs(30));
     child.kill().unwrap();
     child.wait().unwrap();
+    let line = line.expect("no event within 30 s, though the simulated camera releases every 2 s");
     let event: serde_json::Value = serde_json::from_str(&line).unwrap();
     assert_eq!((&event["event"], &event["sync"]["triggered"]), (&"shot".into(), &false.into()), "{event}");
 }
@@ -109,6 +118,7 @@ impl Bench {
             kinds: kinds.to_vec(),
             hex: Some(hex.to_owned()),
             avrdude: OsString::from("avrdude"),
+            silence: SILENCE,
         }
     }
 }
@@ -182,14 +192,26 @@ fn a_port_that_somebody_has_open_is_not_programmed() {
         usable: true,
         held_by: vec![Holder { name: "unlit".into(), id: 77 }],
     };
-    let upload = Upload { port: port.path.clone(), kinds: vec![], hex: None, avrdude: "avrdude".into() };
+    let upload = Upload {
+        port: port.path.clone(),
+        kinds: vec![],
+        hex: None,
+        avrdude: "avrdude".into(),
+        silence: SILENCE,
+    };
     let error = upload.check_free(&port).unwrap_err().to_string();
     assert!(error.contains("by unlit (process 77)"), "{error}");
 }
 
 #[test]
 fn the_command_line_fits_the_kind_of_board() {
-    let upload = Upload { port: "/dev/ttyUSB7".into(), kinds: vec![], hex: None, avrdude: "avrdude".into() };
+    let upload = Upload {
+        port: "/dev/ttyUSB7".into(),
+        kinds: vec![],
+        hex: None,
+        avrdude: "avrdude".into(),
+        silence: SILENCE,
+    };
     let words = upload.command(BoardKind::NanoOld, Path::new("/tmp/a b.hex"));
     let words: Vec<&str> = words.iter().map(|word| word.to_str().unwrap()).collect();
     assert_eq!(

@@ -3,8 +3,8 @@
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 use unlit::pair::SyncSource;
-use unlit::rig::Flash;
 use unlit::rig::flash::{FlashEvent, FlashNews, FlashSettings, SerialFlash, pulse, trial};
+use unlit::rig::{Flash, FlashError};
 use unlit::studio::{Board, BoardOptions, SyncContact};
 
 use super::flash_wire::{Book, Wire, request, sealed};
@@ -106,10 +106,34 @@ fn states_in_which_no_pair_can_be_shot_are_not_ready() {
     says(&mut flash, false, "closed for more than 2 s");
     let (_wire, mut flash) = dictated("g=0 ready=0 wait=0 closed=0");
     says(&mut flash, false, "ready output is low");
-    let (_wire, mut flash) = dictated("g=0 ready=0 wait=20000 closed=0");
-    says(&mut flash, false, "recycling, 20 s to go");
+    let (_wire, mut flash) = dictated("g=0 ready=0 wait=40000 closed=0");
+    says(&mut flash, false, "recycling, 40 s to go");
     let (_wire, mut flash) = dictated("g=0 ready=0 wait=900 closed=0");
     says(&mut flash, true, "recycling, 900 ms to go");
+}
+
+#[test]
+fn a_ready_output_that_stays_low_is_told_within_seconds_and_in_its_own_words() {
+    let start = Instant::now();
+    let mut book = Book { boot: 7, events: 1, shots: 0, greeted: false, clock_us: 0 };
+    let wire = Wire::start(move |line| {
+        book.clock_us = start.elapsed().as_micros() as u32;
+        match request(line) {
+            Some((seq, "stat")) => {
+                sealed(&format!("#{seq} ok t=1 g=0 fire=0 hello=1 ready=0 wait=0 closed=0 n=0"))
+            }
+            Some((seq, body)) if body.starts_with("cfg") => {
+                sealed(&format!("#{seq} ok sil=1500 pulse=1000 lock=30 win=20000 rec=150 rdy=1"))
+            }
+            Some((seq, body)) if body.starts_with("arm") => sealed(&format!("#{seq} err 10 notready")),
+            _ => book.answer(line),
+        }
+    });
+    let mut flash = SerialFlash::open(wire.device()).unwrap();
+    let begun = Instant::now();
+    let error = flash.arm(1, TTL).unwrap_err();
+    assert!(begun.elapsed() < Duration::from_secs(4), "{:?}", begun.elapsed());
+    assert!(matches!(error, FlashError::ReadyLow) && error.to_string().contains("--ready-output"), "{error}");
 }
 
 #[test]

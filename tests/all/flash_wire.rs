@@ -111,7 +111,7 @@ impl Book {
             ),
             "get" => {
                 let n = body.split_once("n=").unwrap().1;
-                format!(" n={n} src=sync g=0 tag=0 t={clock_us} e=0 pk=0 b=0 w=0 c=0 bn=0")
+                format!(" n={n} src=sync g=0 tag=0 t={clock_us} e=0 pk=0 b=0 w=0 c=0 m=1538 bn=0")
             }
             _ if !self.greeted => return sealed(&format!("#{seq} err 7 hello")),
             _ => String::new(),

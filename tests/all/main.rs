@@ -17,6 +17,7 @@ mod firmware_fuzz;
 mod firmware_host;
 mod flash;
 mod flash_commands;
+mod flash_find;
 mod flash_link;
 mod flash_state;
 mod flash_wire;

@@ -215,7 +215,7 @@ fn trouble(seed: u64) -> Tally {
             Ok(_) => tally.accepted_at_once += 1,
             Err(error @ (CaptureError::Flash(_) | CaptureError::NoFlash)) => {
                 let words = error.to_string();
-                assert!(words.contains("plug"), "{words:?} does not say what to do");
+                assert!(words.contains("plug it in"), "{words:?} does not say what to do");
                 *tally.failed.entry(error.code().into()).or_default() += 1;
                 // The port is back, and the session goes on.
                 house.undisturbed();

@@ -2,10 +2,8 @@
 
 use super::pulse::{self, Placement};
 use crate::pair::FlashSync;
+use crate::rig::RECYCLE_PATIENCE;
 use std::time::{Duration, Instant};
-
-/// The longest recycling that is worth waiting for; [`crate::rig::Flash::arm`] waits so long.
-pub(super) const RECYCLE_PATIENCE: Duration = Duration::from_secs(15);
 
 /// The board's answer to `stat`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

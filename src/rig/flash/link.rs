@@ -239,7 +239,7 @@ fn refused(port: &str, error: &serialport::Error) -> FlashError {
             "another program has it open; `unlit flash ports` names it where it can"
         }
         Kind::NoDevice | Kind::Io(ErrorKind::NotFound) => {
-            "is the controller plugged in? `unlit flash ports` lists what is"
+            "plug it in; if it is plugged in, `unlit flash ports` tells its name"
         }
         Kind::Io(ErrorKind::PermissionDenied) => {
             "you may not use it: `sudo usermod -aG dialout $USER`, then log out and in again"

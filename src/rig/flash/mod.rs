@@ -7,6 +7,7 @@
 
 mod clock;
 mod condition;
+mod finder;
 mod greeting;
 pub(crate) mod line;
 mod link;
@@ -20,16 +21,16 @@ pub mod upload;
 mod worker;
 
 pub use clock::ClockState;
+pub use finder::Finder;
 pub use greeting::{Greeting, greet};
 pub use news::{FlashEvent, FlashNews};
 pub use ports::list;
 pub use settings::{BoardSettings, FlashSettings};
 
-use self::condition::RECYCLE_PATIENCE;
 use self::line::Fields;
 use self::shared::Shared;
 use self::worker::{Order, What, Worker};
-use super::{Flash, FlashError, FlashStatus};
+use super::{Flash, FlashError, FlashStatus, RECYCLE_PATIENCE};
 use crate::pair::FlashSync;
 use std::path::Path;
 use std::sync::Arc;
@@ -40,6 +41,10 @@ use std::time::{Duration, Instant};
 
 /// Shortest pause between questions whether the flash has recycled.
 const RECYCLE_STEP: Duration = Duration::from_millis(10);
+/// How long arming waits for the flash by itself: longer waits are the caller's, who can be told to stop.
+const ARM_PATIENCE: Duration = Duration::from_secs(1);
+/// A trial waits for any recycle time that the board keeps (a minute), and whoever runs it can end the program.
+const FIRE_PATIENCE: Duration = Duration::from_secs(61);
 /// The board's errors that mean "later".
 const NOT_READY: u32 = 10;
 const RATE: u32 = 12;
@@ -76,19 +81,6 @@ impl SerialFlash {
         Ok(Self { port, orders: Some(orders), shared, thread: Some(thread) })
     }
 
-    /// The first of [`list`] behind which a controller answers; `None` where there are no ports. With ports but no
-    /// answer, the last port's error tells more than "none".
-    pub fn open_first(settings: FlashSettings) -> Result<Option<Self>, FlashError> {
-        let mut failure = None;
-        for path in list() {
-            match Self::open_with(&path, settings) {
-                Ok(flash) => return Ok(Some(flash)),
-                Err(error) => failure = Some(error),
-            }
-        }
-        failure.map_or(Ok(None), Err)
-    }
-
     /// Who answers: firmware, processor, port.
     pub fn description(&self) -> String {
         self.shared.lock().description.clone()
@@ -109,11 +101,11 @@ impl SerialFlash {
         self.shared.follow()
     }
 
-    /// Fires the flash `delay` after the board has the order, without any sync; waits for the flash to recycle.
+    /// Fires the flash `delay` after the board has the order, without any sync; waits for the flash to recycle, a minute at most.
     /// `tag` comes back in [`Flash::syncs`]. Never used while pairs are shot.
     pub fn fire(&mut self, tag: u32, delay: Duration) -> Result<(), FlashError> {
         self.disarm()?;
-        self.once_recycled(&format!("fire d={} tag={tag}", delay.as_micros()))
+        self.once_recycled(&format!("fire d={} tag={tag}", delay.as_micros()), FIRE_PATIENCE)
     }
 
     /// What the photodiode's converter reads now, counts of 1023.
@@ -136,16 +128,24 @@ impl SerialFlash {
         self.order(What::Ask { body: body.to_owned(), fresh })
     }
 
-    /// Repeats a request that opens a frame while the flash recycles.
-    fn once_recycled(&self, request: &str) -> Result<(), FlashError> {
-        let deadline = Instant::now() + RECYCLE_PATIENCE;
+    /// Repeats a request that opens a frame while the flash recycles, as long as that ends within `patience`.
+    fn once_recycled(&self, request: &str, patience: Duration) -> Result<(), FlashError> {
+        let begun = Instant::now();
         loop {
             match self.ask(request, true) {
                 Err(FlashError::Refused { code: NOT_READY | RATE, .. }) => {
-                    let wait_ms = self.ask("stat", false)?.uint("wait").unwrap_or(0);
+                    let stat = self.ask("stat", false)?;
+                    let wait_ms = stat.uint("wait").unwrap_or(0);
                     let wait = Duration::from_millis(u64::from(wait_ms)).max(RECYCLE_STEP);
-                    if Instant::now() + wait > deadline {
-                        return Err(FlashError::NotReady { wait_ms: wait.as_millis() as u64 });
+                    let awaited = self.settings().is_some_and(|settings| settings.ready_output);
+                    let low = awaited && wait_ms == 0 && stat.uint("ready") == Some(0);
+                    // No time tells how long the output stays low.
+                    let patience = if low { patience.min(RECYCLE_PATIENCE) } else { patience };
+                    if begun.elapsed() + wait > patience {
+                        return Err(match low {
+                            true => FlashError::ReadyLow,
+                            false => FlashError::NotReady { wait_ms: wait.as_millis() as u64 },
+                        });
                     }
                     std::thread::sleep(wait);
                 }
@@ -170,7 +170,7 @@ impl Flash for SerialFlash {
 
     fn arm(&mut self, tag: u32, time_to_live: Duration) -> Result<(), FlashError> {
         self.disarm()?;
-        self.once_recycled(&format!("arm tag={tag} ttl={}", time_to_live.as_millis()))?;
+        self.once_recycled(&format!("arm tag={tag} ttl={}", time_to_live.as_millis()), ARM_PATIENCE)?;
         self.shared.lock().condition.armed_until = Some(Instant::now() + time_to_live);
         Ok(())
     }

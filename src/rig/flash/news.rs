@@ -18,11 +18,6 @@ pub struct FlashEvent {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum FlashNews {
-    /// The board was greeted for the first time.
-    Connected {
-        /// Who it is.
-        description: String,
-    },
     /// The board restarted: its gate is closed, its shots are forgotten.
     Boot {
         /// Number of the new boot.
@@ -73,7 +68,6 @@ pub enum FlashNews {
 impl fmt::Display for FlashNews {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            FlashNews::Connected { description } => write!(f, "connected: {description}"),
             FlashNews::Boot { boot, reset } => {
                 write!(f, "the board restarted (boot {boot}, reset cause {reset}); its gate is closed")
             }

@@ -36,18 +36,34 @@ pub struct UsbDevice {
     pub name: Option<String>,
     /// Serial number.
     pub serial: Option<String>,
+    /// Bus and device address (`001,004`); another one after each plugging in.
+    pub address: Option<String>,
 }
+
+/// USB numbers that controllers have: vendor, products, what carries them. The udev rule knows the same.
+const LIKELY: [(&str, &[&str], &str); 5] = [
+    ("2341", &["0001", "0043", "0243"], "Arduino Uno"),
+    ("2a03", &["0043", "0243"], "Arduino Uno"),
+    ("1a86", &["7523"], "CH340: Arduino Nano copies"),
+    ("0403", &["6001"], "FT232R: Arduino Nano"),
+    ("10c4", &["ea60"], "CP2102: Nano copies"),
+];
 
 impl UsbDevice {
     /// What carries this USB number, where it is one of those that controllers have.
     pub fn likely(&self) -> Option<&'static str> {
-        Some(match (self.vendor.as_str(), self.product.as_str()) {
-            ("2341" | "2a03", "0001" | "0043" | "0243") => "Arduino Uno",
-            ("1a86", "7523") => "CH340: Arduino Nano copies",
-            ("0403", "6001") => "FT232R: Arduino Nano",
-            ("10c4", "ea60") => "CP2102: Nano copies",
-            _ => return None,
-        })
+        let is_it = |(vendor, products, _): &&(&str, &[&str], _)| {
+            *vendor == self.vendor && products.contains(&self.product.as_str())
+        };
+        LIKELY.iter().find(is_it).map(|(_, _, what)| *what)
+    }
+}
+
+impl Port {
+    /// Whether a controller may be behind it, by its USB number. What else is plugged in (a printer, a modem) would be
+    /// reset by being greeted.
+    pub fn is_likely(&self) -> bool {
+        self.usb.as_ref().is_some_and(|usb| usb.likely().is_some())
     }
 }
 
@@ -104,6 +120,7 @@ fn usb_device(tty: &Path) -> Option<UsbDevice> {
         maker: read("manufacturer"),
         name: read("product"),
         serial: read("serial"),
+        address: read("busnum").zip(read("devnum")).map(|(bus, device)| format!("{bus:0>3},{device:0>3}")),
     })
 }
 
@@ -152,6 +169,8 @@ mod tests {
             ("idProduct", "0043\n"),
             ("manufacturer", "Arduino (www.arduino.cc)\n"),
             ("serial", "7583\n"),
+            ("busnum", "1\n"),
+            ("devnum", "14\n"),
         ] {
             write(&format!("sys/devices/1-1/{name}"), value);
         }
@@ -188,9 +207,34 @@ mod tests {
         let uno = ports[0].usb.as_ref().unwrap();
         assert_eq!((uno.vendor.as_str(), uno.product.as_str(), uno.name.as_deref()), ("2341", "0043", None));
         assert_eq!((uno.serial.as_deref(), uno.likely()), (Some("7583"), Some("Arduino Uno")));
+        assert_eq!(uno.address.as_deref(), Some("001,014"));
         assert_eq!(ports[0].held_by, [Holder { name: "screen".into(), id: 42 }]);
         assert!(ports[0].usable);
         assert!(ports[1].usb.as_ref().unwrap().likely().unwrap().contains("CH340"));
         assert_eq!(ports[2].usb, None);
+    }
+
+    #[test]
+    fn the_udev_rule_knows_the_same_boards() {
+        let rule = include_str!("../../../packaging/udev/60-unlit-flash.rules");
+        for (kind, vendor_key, product_key) in [
+            ("port", "ATTRS{idVendor}==", "ATTRS{idProduct}=="),
+            ("device", "ATTR{idVendor}==", "ATTR{idProduct}=="),
+        ] {
+            let quoted = |line: &str, key: &str| -> Option<String> {
+                Some(line.split_once(key)?.1.split('"').nth(1)?.to_owned())
+            };
+            let mut known: Vec<(String, String)> = Vec::new();
+            for line in rule.lines().filter(|line| line.starts_with(vendor_key)) {
+                let vendor = quoted(line, vendor_key).unwrap();
+                let products = quoted(line, product_key).unwrap();
+                known.extend(products.split('|').map(|product| (vendor.clone(), product.to_owned())));
+            }
+            let ours: Vec<(String, String)> = LIKELY
+                .iter()
+                .flat_map(|(v, products, _)| products.iter().map(|p| ((*v).to_owned(), (*p).to_owned())))
+                .collect();
+            assert_eq!(known, ours, "{kind}");
+        }
     }
 }

@@ -4,7 +4,7 @@ use crate::pair::FlashSync;
 use serde::Serialize;
 
 /// Time between two samples of the board, us (`firmware/PROTOCOL.md`).
-const SAMPLE_US: f64 = 13.0;
+pub(super) const SAMPLE_US: f64 = 13.0;
 /// Peaks in which noise and the converter's end are both far away, counts above dark.
 const GOOD_PEAK: std::ops::RangeInclusive<f64> = 300.0..=800.0;
 /// The converter's end, counts.

@@ -3,19 +3,23 @@
 //! avrdude's words as they come.
 
 use super::greeting::{Greeting, greet};
-use super::ports::Port;
+use super::ports::{self, Port};
 use crate::rig::FlashError;
-use crate::rig::system::Holder;
+use crate::rig::system::{Holder, Identity, Roots};
 use std::ffi::OsString;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::channel;
+use std::time::Duration;
 use tempfile::NamedTempFile;
 
 /// The controller's program, as `make -C firmware/avr package` lays it there.
 pub const FIRMWARE: &[u8] = include_bytes!("../../../firmware/avr/unlit-uno.hex");
 /// avrdude tries ten times, five seconds each; a boot loader that is there answers at the first or second.
 const SYNC_TRIES: usize = 3;
+/// avrdude speaks every few seconds, whatever it does.
+pub const SILENCE: Duration = Duration::from_secs(60);
 /// What avrdude says on each vain try.
 const NOT_IN_SYNC: &str = "not in sync";
 
@@ -78,9 +82,15 @@ pub enum UploadError {
     /// The port is not there.
     #[error("port {0} is not there: plug the board in; `unlit flash ports` lists what is")]
     NoPort(String),
-    /// There is no port, or there are several and nothing tells which.
+    /// There is no port at all.
     #[error(
-        "{0} serial ports, and no controller answers yet: name the board's port (`unlit flash ports` lists them)"
+        "no serial port was found: plug the board in, with a USB cable that carries data and not only power"
+    )]
+    NoBoard,
+    /// Nothing tells which port it is.
+    #[error(
+        "of {0} serial ports none is known to be the board's: name it, as in `unlit flash upload /dev/ttyUSB0` \
+         (`unlit flash ports` lists them)"
     )]
     WhichPort(usize),
     /// No right to use it.
@@ -118,6 +128,12 @@ pub enum UploadError {
         "the board on {0} reads back differently from what was written: try again, with another USB cable"
     )]
     Verify(String),
+    /// avrdude hangs.
+    #[error(
+        "avrdude said nothing for {0:.0?} and was stopped: unplug the board, plug it in again and retry, with another \
+         USB cable or socket if it happens again"
+    )]
+    Hangs(Duration),
     /// avrdude failed otherwise.
     #[error("avrdude failed ({0}): see its words above")]
     Failed(String),
@@ -126,12 +142,19 @@ pub enum UploadError {
     Greeting(#[from] FlashError),
 }
 
-/// The only port there is; of several, the first where a controller answers. An empty board does not.
+/// The only port that may be a board's, by its USB number; of several, the first where a controller answers. An empty
+/// board does not.
 pub fn choose_port() -> Result<PathBuf, UploadError> {
-    let mut ports = super::list();
-    match ports.len() {
-        1 => Ok(ports.remove(0)),
-        count => ports.into_iter().find(|port| greet(port).is_ok()).ok_or(UploadError::WhichPort(count)),
+    choose_among(ports::survey(&Roots::default(), &Identity::own()))
+}
+
+fn choose_among(ports: Vec<Port>) -> Result<PathBuf, UploadError> {
+    let count = ports.len();
+    let mut likely: Vec<PathBuf> = ports.into_iter().filter(Port::is_likely).map(|port| port.path).collect();
+    match likely.len() {
+        _ if count == 0 => Err(UploadError::NoBoard),
+        1 => Ok(likely.remove(0)),
+        _ => likely.into_iter().find(|port| greet(port).is_ok()).ok_or(UploadError::WhichPort(count)),
     }
 }
 
@@ -146,6 +169,8 @@ pub struct Upload {
     pub hex: Option<PathBuf>,
     /// avrdude's path or name.
     pub avrdude: OsString,
+    /// For how long avrdude may say nothing; [`SILENCE`] is ample.
+    pub silence: Duration,
 }
 
 impl Upload {
@@ -210,13 +235,13 @@ impl Upload {
                 program: self.avrdude.display().to_string(),
                 reason: error.to_string(),
             })?;
-        let listened = listen(&mut child, say);
+        let listened = listen(&mut child, self.silence, say);
         if !matches!(&listened, Ok(said) if vain_tries(said) < SYNC_TRIES) {
-            // It would go on for a minute, or nobody hears it any more. One that has just ended cannot be killed.
+            // It would go on for a minute, hangs, or nobody hears it any more. One that has just ended cannot be killed.
             let _ = child.kill();
         }
         let status = child.wait().map_err(failed)?;
-        let said = listened.map_err(failed)?;
+        let said = listened?;
         if status.success() {
             return Ok(());
         }
@@ -264,17 +289,33 @@ fn unpack() -> std::io::Result<NamedTempFile> {
 }
 
 /// Passes avrdude's words on until it ends, or has tried in vain often enough; returns all of them.
-fn listen(child: &mut Child, say: &mut impl FnMut(&str)) -> std::io::Result<String> {
+fn listen(child: &mut Child, silence: Duration, say: &mut impl FnMut(&str)) -> Result<String, UploadError> {
     let mut said = String::new();
     let Some(mut words) = child.stderr.take() else { return Ok(said) };
-    let mut bytes = [0u8; 256];
+    let (tell, told) = channel();
+    // A read has no deadline, but a channel has. The thread ends with avrdude, or when nobody listens.
+    let read = move || {
+        let mut bytes = [0u8; 256];
+        loop {
+            let heard = words.read(&mut bytes).map(|count| bytes[..count].to_vec());
+            let last = heard.as_ref().map_or(true, Vec::is_empty);
+            if tell.send(heard).is_err() || last {
+                break;
+            }
+        }
+    };
+    let failed = |error: std::io::Error| UploadError::Failed(error.to_string());
+    std::thread::Builder::new().name("avrdude".into()).spawn(read).map_err(failed)?;
     loop {
-        let count = words.read(&mut bytes)?;
+        let bytes = match told.recv_timeout(silence) {
+            Ok(heard) => heard.map_err(failed)?,
+            Err(_) => return Err(UploadError::Hangs(silence)),
+        };
         // avrdude speaks ASCII; a path that is cut in the middle of a letter is shown so.
-        let text = String::from_utf8_lossy(&bytes[..count]);
+        let text = String::from_utf8_lossy(&bytes);
         say(&text);
         said += &text;
-        if count == 0 || vain_tries(&said) >= SYNC_TRIES {
+        if bytes.is_empty() || vain_tries(&said) >= SYNC_TRIES {
             return Ok(said);
         }
     }
@@ -297,5 +338,59 @@ fn check_hex(path: &Path) -> Result<(), UploadError> {
         Some(last) if last.trim().eq_ignore_ascii_case(":00000001FF") => Ok(()),
         Some(_) => Err(wrong("it does not end with the end record".into())),
         None => Err(wrong("it is empty".into())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::ports::UsbDevice;
+    use super::*;
+
+    fn port(name: &str, usb: Option<(&str, &str)>) -> Port {
+        Port {
+            path: name.into(),
+            node: name.into(),
+            usb: usb.map(|(vendor, product)| UsbDevice {
+                vendor: vendor.into(),
+                product: product.into(),
+                maker: None,
+                name: None,
+                serial: None,
+                address: None,
+            }),
+            usable: true,
+            held_by: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn the_board_is_chosen_only_where_nothing_else_may_be_meant() {
+        let (modem, uno) =
+            (port("/dev/ttyUSB0", Some(("12d1", "1506"))), port("/dev/ttyACM0", Some(("2341", "0043"))));
+        let words = |ports| choose_among(ports).unwrap_err().to_string();
+        assert!(words(vec![]).contains("plug the board in"));
+        assert!(words(vec![modem.clone()]).contains("of 1 serial ports none"), "a modem is not programmed");
+        assert_eq!(choose_among(vec![modem, uno]).unwrap(), PathBuf::from("/dev/ttyACM0"));
+    }
+
+    #[test]
+    fn an_avrdude_that_hangs_in_silence_is_an_error() {
+        let mut child = Command::new("sh")
+            .args(["-c", "echo starting >&2; exec sleep 60"])
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let begun = std::time::Instant::now();
+        let mut words = String::new();
+        let outcome = listen(&mut child, Duration::from_millis(500), &mut |part| words += part);
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let error = outcome.unwrap_err();
+        assert!(
+            matches!(error, UploadError::Hangs(_)) && error.to_string().contains("plug it in again"),
+            "{error}"
+        );
+        assert!(begun.elapsed() < Duration::from_secs(20), "{:?}", begun.elapsed());
+        assert_eq!(words, "starting\n");
     }
 }

@@ -9,6 +9,7 @@ use super::super::clock::{BoardClock, ClockState, Moment};
 use super::super::line::{Event, Fields};
 use super::super::link::{Answer, Hello};
 use super::super::news::FlashNews;
+use super::super::pulse::SAMPLE_US;
 use super::Worker;
 use crate::pair::{FlashSync, SyncSource};
 use crate::rig::FlashError;
@@ -17,6 +18,8 @@ use std::time::Instant;
 
 /// The board's clock and ours may part by so much, retries included; more means that it restarted.
 const CLOCK_SLACK: f64 = 2.0;
+/// A pulse's energy is that of the whole window, give or take this share of its samples.
+const WINDOW_SLACK: f64 = 0.01;
 /// Shots that the board remembers.
 const LOG: u32 = 16;
 /// The board's error for a shot that it no longer knows.
@@ -119,9 +122,7 @@ impl Worker {
                 let why = event.fields.word("why").unwrap_or("unknown").to_owned();
                 let silenced = why == "silence";
                 if silenced {
-                    self.tell_broken(
-                        "this computer was silent for too long, and the gate closed; take this frame again",
-                    );
+                    self.tell_broken("this computer was silent for too long, and the gate closed");
                 }
                 self.shared.update(|state| {
                     state.condition.silenced |= silenced;
@@ -163,7 +164,9 @@ impl Worker {
     }
 
     fn keep(&mut self, fields: &Fields, fetched: bool) -> Result<(), FlashError> {
-        let mut sync = read_shot(fields).ok_or_else(|| self.old("a shot's report"))?;
+        let (Some(mut sync), Some(samples)) = (read_shot(fields), fields.uint("m")) else {
+            return Err(self.old("a shot's report"));
+        };
         if sync.number <= self.account.shots {
             return Ok(());
         }
@@ -177,6 +180,17 @@ impl Worker {
             }
         });
         self.shared.tell(FlashNews::Shot { sync, fetched });
+        let window = self.shared.lock().settings.map(|settings| f64::from(settings.window_us));
+        let wanted = window.map_or(f64::NAN, |window| (window / SAMPLE_US).floor());
+        if sync.light().is_some() && (f64::from(samples) - wanted).abs() > WINDOW_SLACK * wanted {
+            let ms = |samples: f64| 1e-3 * SAMPLE_US * samples;
+            self.tell_broken(&format!(
+                "it gathered the light of sync {} for {:.1} ms instead of {:.1} ms, so that its energy is not known",
+                sync.number,
+                ms(f64::from(samples)),
+                ms(wanted)
+            ));
+        }
         Ok(())
     }
 
@@ -227,7 +241,7 @@ impl Worker {
             }
             self.fetch_up_to(shots)?;
         }
-        self.tell_broken("the sync contact does not come to rest");
+        self.tell_broken("the sync contact does not come to rest (is its cable loose?)");
         Ok(())
     }
 
@@ -263,7 +277,7 @@ impl Worker {
                 state.condition.stuck = false;
                 state.condition.restarted = Some(Instant::now());
             });
-            self.tell_broken("it restarted; its gate is closed, take this frame again");
+            self.tell_broken("it restarted, and its gate is closed");
             self.shared.tell(FlashNews::Boot { boot: hello.boot, reset: hello.reset });
         }
         if reconnected {
@@ -279,9 +293,7 @@ impl Worker {
                     armed && !state.shots.iter().any(|sync| sync.triggered)
                 });
                 if robbed && same {
-                    self.tell_broken(
-                        "the link broke while the gate was open, which closed it; take this frame again",
-                    );
+                    self.tell_broken("the link broke while the gate was open, which closed it");
                 }
             }
             // A board without its settings is none to shoot with.
