@@ -282,7 +282,8 @@ static void watch_contact(struct core *core, uint32_t now_us)
 }
 
 /* A shot is reported when its lock time is over; the lock itself goes on while the contact stays closed,
- * because it bounces when it opens, too. */
+ * because it bounces when it opens, too. It never ends before the shot is told: now_us may be older than the shot, and
+ * with it locked_at. */
 static void end_lock(struct core *core, uint32_t now_us)
 {
     const uint32_t lock_us = (uint32_t)core->cfg.lock_ms * 1000u;
@@ -294,7 +295,7 @@ static void end_lock(struct core *core, uint32_t now_us)
     }
     if (core->contact_closed) {
         core->locked_at = now_us;
-    } else if (passed(now_us, core->locked_at, lock_us)) {
+    } else if (core->measuring == 0 && passed(now_us, core->locked_at, lock_us)) {
         core->locked = 0;
     }
 }
