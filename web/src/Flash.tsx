@@ -66,7 +66,7 @@ function Energies({ pulses }: { pulses: Pulse[] }) {
   const x = (pair: number) => EDGE + ((pair - first) / span) * (WIDTH - 2 * EDGE);
   const y = (gain: number) => HEIGHT / 2 - ((gain / mean - 1) / reach) * (HEIGHT / 2 - EDGE);
   return (
-    <figure class="energies">
+    <div class="energies">
       <svg viewBox={`0 0 ${WIDTH} ${HEIGHT}`} role="img" aria-label={words.energies(pulses.length, reach)}>
         <line class="mean" x1="0" x2={WIDTH} y1={HEIGHT / 2} y2={HEIGHT / 2} />
         {pulses.map((pulse) => (
@@ -82,7 +82,7 @@ function Energies({ pulses }: { pulses: Pulse[] }) {
           </g>
         ))}
       </svg>
-      <figcaption class="dim">{words.energyScale(reach)}</figcaption>
-    </figure>
+      <p class="dim">{words.energyScale(reach)}</p>
+    </div>
   );
 }
