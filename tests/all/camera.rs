@@ -4,8 +4,10 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
+use unlit::capture::{FlashKind, RigSource};
 use unlit::pair::{Dial, Exposure};
 use unlit::rig::camera::{Deadlines, HostedCamera, Launch, Target, list_with};
+use unlit::rig::flash::SerialFlash;
 use unlit::rig::{Camera, CameraError, LockState};
 use unlit::studio::View;
 use unlit::studio::camera::{BodyOptions, CameraServer, Drive, Fault, Files, Focus, Mode};
@@ -74,6 +76,18 @@ pub(crate) fn launch() -> Launch {
 
 pub(crate) fn open(port: &str, deadlines: Deadlines) -> Result<HostedCamera, CameraError> {
     HostedCamera::open_with(&launch(), Some(port), deadlines, Target::Memory)
+}
+
+/// The drivers that a photographer has, on simulated devices: libgphoto2 in its host at `port`, and the flash controller at
+/// `device`. The camera has `patience` for each call.
+pub(crate) fn rig(port: String, device: &Path, patience: Duration) -> RigSource {
+    let deadlines = Deadlines { open: Duration::from_secs(20), shot: patience, other: patience };
+    let device = device.to_owned();
+    RigSource {
+        camera: Box::new(move |_| Ok(Box::new(open(&port, deadlines)?))),
+        cameras: Box::new(|| Ok(Vec::new())),
+        flash: Box::new(move || Ok(FlashKind::Controller(Box::new(SerialFlash::open(&device)?)))),
+    }
 }
 
 pub(crate) fn program() -> &'static Path {

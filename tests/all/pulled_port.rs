@@ -3,7 +3,7 @@
 //! firmware's core. What truly happened is read from the studio's own books: the board's of its trigger, the wall's of
 //! its exposures.
 
-use crate::camera::{launch, program};
+use crate::camera::{program, rig};
 use crate::wall::{Exposures, Wall};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -11,11 +11,10 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
-use unlit::capture::{CaptureError, Engine, Events, FlashKind, RigSource, Topic};
+use unlit::capture::{CaptureError, Engine, Events, Topic};
 use unlit::pair::{Limits, PairRecord, Verdict};
 use unlit::progress::Progress;
 use unlit::rig::Flash;
-use unlit::rig::camera::{Deadlines, HostedCamera, Target};
 use unlit::rig::flash::SerialFlash;
 use unlit::session::Session;
 use unlit::studio::camera::CameraServer;
@@ -47,17 +46,7 @@ impl House {
         let taken = Exposures::default();
         let server =
             CameraServer::start(Arc::new(Wall { flash: board.clone(), taken: taken.clone() })).unwrap();
-        let port = server.port();
-        let seconds = Duration::from_secs(10);
-        let deadlines = Deadlines { open: Duration::from_secs(20), shot: seconds, other: seconds };
-        let device = board.device().to_owned();
-        let rig = RigSource {
-            camera: Box::new(move |_| {
-                Ok(Box::new(HostedCamera::open_with(&launch(), Some(&port), deadlines, Target::Memory)?))
-            }),
-            cameras: Box::new(|| Ok(Vec::new())),
-            flash: Box::new(move || Ok(FlashKind::Controller(Box::new(SerialFlash::open(&device)?)))),
-        };
+        let rig = rig(server.port(), board.device(), Duration::from_secs(10));
         let folder = tempfile::tempdir().unwrap();
         let session = Session::create(&folder.path().join("wall"), "wall").unwrap();
         let events = Events::default();

@@ -1,16 +1,14 @@
 //! Pairs through everything that is real: the engine, libgphoto2 in its host, the serial driver on a pty, the firmware's
 //! core; only the body is simulated, and misbehaves.
 
-use crate::camera::{launch, program};
+use crate::camera::{program, rig};
 use crate::wall::{Exposures, Wall};
 use std::sync::Arc;
 use std::time::Duration;
 use tempfile::TempDir;
-use unlit::capture::{CaptureError, Engine, Events, ExposureWish, FlashKind, RigSource};
+use unlit::capture::{CaptureError, Engine, Events, ExposureWish};
 use unlit::pair::{Limits, PairRecord, ReasonCode, Verdict};
 use unlit::progress::Progress;
-use unlit::rig::camera::{Deadlines, HostedCamera, Target};
-use unlit::rig::flash::SerialFlash;
 use unlit::session::Session;
 use unlit::studio::camera::{BodyOptions, CameraServer, Fault, Files, Focus};
 use unlit::studio::{Board, BoardOptions};
@@ -31,16 +29,7 @@ impl House {
         let taken = Exposures::default();
         let view = Arc::new(Wall { flash: board.clone(), taken: taken.clone() });
         let server = Arc::new(CameraServer::start_with(view, body).unwrap());
-        let seconds = Duration::from_secs(4);
-        let deadlines = Deadlines { open: Duration::from_secs(20), shot: seconds, other: seconds };
-        let port = server.port();
-        let rig = RigSource {
-            camera: Box::new(move |_| {
-                Ok(Box::new(HostedCamera::open_with(&launch(), Some(&port), deadlines, Target::Memory)?))
-            }),
-            cameras: Box::new(|| Ok(Vec::new())),
-            flash: Box::new(move || Ok(FlashKind::Controller(Box::new(SerialFlash::open(board.device())?)))),
-        };
+        let rig = rig(server.port(), board.device(), Duration::from_secs(4));
         let folder = tempfile::tempdir().unwrap();
         let session = Session::create(&folder.path().join("wall"), "wall").unwrap();
         let engine = Engine::new(rig, Limits::default(), Events::default());

@@ -1,17 +1,15 @@
 //! The series that tells how steady the known light is, through everything that is real: the engine, libgphoto2 in its
 //! host, the serial driver on a pty, the firmware's core. Only the body, the card before it and the flash are simulated.
 
-use crate::camera::{launch, program};
+use crate::camera::{program, rig};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
-use unlit::capture::{Engine, Events, FlashKind, RepeatReport, RigSource};
+use unlit::capture::{Engine, Events, RepeatReport};
 use unlit::pair::Limits;
 use unlit::pair::energy::Repeatability;
 use unlit::pipeline::energy::repeatability_file;
 use unlit::progress::Progress;
-use unlit::rig::camera::{Deadlines, HostedCamera, Target};
-use unlit::rig::flash::SerialFlash;
 use unlit::session::Session;
 use unlit::studio::camera::{BodyOptions, CameraServer};
 use unlit::studio::world::{Stage, World};
@@ -33,17 +31,7 @@ impl House {
         let world = Arc::new(World::new(board.clone(), &Progress::silent()).unwrap());
         world.set_stage(Stage::Card { distance_m: 1.0 }).unwrap();
         let server = CameraServer::start_with(world, &BodyOptions::default()).unwrap();
-        let port = server.port();
-        let seconds = Duration::from_secs(10);
-        let deadlines = Deadlines { open: Duration::from_secs(20), shot: seconds, other: seconds };
-        let device = board.device().to_owned();
-        let rig = RigSource {
-            camera: Box::new(move |_| {
-                Ok(Box::new(HostedCamera::open_with(&launch(), Some(&port), deadlines, Target::Memory)?))
-            }),
-            cameras: Box::new(|| Ok(Vec::new())),
-            flash: Box::new(move || Ok(FlashKind::Controller(Box::new(SerialFlash::open(&device)?)))),
-        };
+        let rig = rig(server.port(), board.device(), Duration::from_secs(10));
         let folder = tempfile::tempdir().unwrap();
         let session = Session::create(&folder.path().join("card"), "card").unwrap();
         let engine = Engine::new(rig, Limits::default(), Events::default());
