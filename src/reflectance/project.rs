@@ -17,7 +17,7 @@ use super::observe::Illumination;
 use crate::light::{Elements, RayKernel, interpolate};
 use crate::photometry::KnownMosaic;
 use crate::progress::{Cancelled, Progress};
-use crate::raster::blur::{gaussian, gaussian_radius};
+use crate::raster::blur::{gaussian_each, gaussian_radius};
 use crate::raster::{Image, Rgb};
 use crate::scene::{Camera, Mesh};
 use glam::{DVec2, Vec3};
@@ -211,18 +211,18 @@ impl Projection {
     }
 
     /// The readings of all three colours in every pixel for a pulse of energy 1.
-    pub(super) fn predict(&self, texture: &[[f32; 3]], others: bool, blur: f32) -> Rgb {
-        gaussian(&self.pixels(texture, others), blur)
+    pub(super) fn predict(&self, texture: &[[f32; 3]], others: bool, blur: [f32; 3]) -> Rgb {
+        gaussian_each(&self.pixels(texture, others), blur)
     }
 
     /// What white would read everywhere, through the lens.
-    pub(super) fn white(&self, blur: f32) -> Rgb {
-        gaussian(&self.white, blur)
+    pub(super) fn white(&self, blur: [f32; 3]) -> Rgb {
+        gaussian_each(&self.white, blur)
     }
 
     /// Light of other surfaces, through the lens.
-    pub(super) fn others(&self, blur: f32) -> Rgb {
-        gaussian(&self.other, blur)
+    pub(super) fn others(&self, blur: [f32; 3]) -> Rgb {
+        gaussian_each(&self.other, blur)
     }
 
     pub(super) fn blank(&self) -> Rgb {
