@@ -1,9 +1,10 @@
 //! The energy of one pulse against the reference energy, and the known light freed of it.
 
 use super::Known;
+use serde::{Deserialize, Serialize};
 
 /// Energy of a pair's pulse, relative to the energy at which the flash was calibrated.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FlashGain {
     /// Energy over reference energy, above 0.
     pub value: f64,

@@ -96,6 +96,9 @@ pub struct Estimate {
     pub blocks: Option<Errors>,
     /// Share of the pixels to be scored for which the estimate has a value.
     pub known: f64,
+    /// Share of the blocks and channels whose error lies within 1.96 of the standard deviation that the estimate tells
+    /// (the mean over the block); `None` where it tells none.
+    pub covered: Option<f64>,
     /// Each view alone, full resolution.
     pub by_view: Vec<ViewErrors>,
     /// Views of the truth that the estimate lacks.
@@ -149,11 +152,17 @@ fn score_texture(
         found: "without channels R, G and B".into(),
         expected: "an RGB texture".into(),
     })?;
-    let renderer = render::Renderer::new(scene, &texture).ok_or_else(|| EvaluateError::Unfit {
+    let beside = path.with_file_name("stddev.exr");
+    let deviation = if beside.is_file() { exr_image::read(&beside)?.rgb() } else { None };
+    let deviation = deviation.filter(|d| (d.width(), d.height()) == (texture.width(), texture.height()));
+    let bare = || EvaluateError::Unfit {
         path: path.to_owned(),
         found: "a texture for a mesh without texture coordinates".into(),
         expected: "an object with UVs".into(),
-    })?;
+    };
+    let renderer = render::Renderer::new(scene, &texture).ok_or_else(bare)?;
+    let deviation =
+        deviation.as_ref().map(|d| render::Renderer::new(scene, d).ok_or_else(bare)).transpose()?;
     let cameras: HashMap<&str, &Camera> = scene.cameras.iter().map(|c| (c.name.as_str(), c)).collect();
     score("texture", truth, progress, |view| {
         let Some(camera) = cameras.get(view.name.as_str()) else { return Ok(None) };
@@ -165,12 +174,19 @@ fn score_texture(
                 expected: format!("the camera's {width} x {height}"),
             });
         }
-        Ok(Some(renderer.view(camera, &view.scored, truth.lens_sigma, progress)?))
+        let look =
+            |renderer: &render::Renderer| renderer.view(camera, &view.scored, truth.lens_sigma, progress);
+        Ok(Some(Guess { value: look(&renderer)?, deviation: deviation.as_ref().map(look).transpose()? }))
     })
 }
 
-/// One estimate of a view: RGB and 1 where known, 0 elsewhere.
-type Guess = Image<[f32; 4]>;
+/// One estimate of a view.
+struct Guess {
+    /// RGB and 1 where known, 0 elsewhere.
+    value: Image<[f32; 4]>,
+    /// Its standard deviation as told, where it is told.
+    deviation: Option<Image<[f32; 4]>>,
+}
 
 fn score(
     estimate: &'static str,
@@ -181,11 +197,12 @@ fn score(
     let (mut full, mut blocks) = (Pool::default(), Pool::default());
     let (mut by_view, mut missing) = (Vec::new(), Vec::new());
     let (mut scored, mut known) = (0_usize, 0_usize);
+    let (mut inside, mut judged) = (0_usize, 0_usize);
     for (i, name) in truth.names.iter().enumerate() {
         progress.check()?;
         progress.report(&format!("scoring the {estimate}"), i, truth.names.len());
         let view = truth.view(name)?;
-        let Some(guess) = guess(&view)? else {
+        let Some(Guess { value: guess, deviation }) = guess(&view)? else {
             missing.push(name.clone());
             continue;
         };
@@ -202,7 +219,15 @@ fn score(
         scored += view.scored.pixels().iter().filter(|s| **s).count();
         known += counted.pixels().iter().filter(|c| **c).count();
         // The mean of differences is the difference of means, so the error image itself is averaged.
-        blocks.extend(block_means(&error, &counted, BLOCK));
+        let means = block_means(&error, &counted, BLOCK);
+        if let Some(deviation) = deviation {
+            let told = block_means(&deviation, &counted, BLOCK);
+            for (e, sd) in means.iter().zip(&told) {
+                inside += (0..3).filter(|&c| e[c].abs() <= 1.96 * sd[c]).count();
+                judged += 3;
+            }
+        }
+        blocks.extend(means);
         if let Some(full) = own.errors() {
             by_view.push(ViewErrors { name: name.clone(), full });
         }
@@ -218,7 +243,8 @@ fn score(
         },
     })?;
     let known = known as f64 / scored.max(1) as f64;
-    Ok(Estimate { full, blocks: blocks.errors(), known, by_view, missing })
+    let covered = (judged > 0).then(|| inside as f64 / judged as f64);
+    Ok(Estimate { full, blocks: blocks.errors(), known, covered, by_view, missing })
 }
 
 fn read_view(path: &Path, view: &TruthView) -> Result<Guess, EvaluateError> {
@@ -235,7 +261,8 @@ fn read_view(path: &Path, view: &TruthView) -> Result<Guess, EvaluateError> {
     if (image.width, image.height) != (view.albedo.width(), view.albedo.height()) {
         return Err(unfit(format!("{} x {} pixels", image.width, image.height)));
     }
-    image.rgba().ok_or_else(|| unfit("without one of the channels".into()))
+    let value = image.rgba().ok_or_else(|| unfit("without one of the channels".into()))?;
+    Ok(Guess { value, deviation: None })
 }
 
 struct Truth {

@@ -17,6 +17,7 @@ use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
 use crate::reflectance::atlas;
 use crate::reflectance::bounce::Round;
+use crate::reflectance::joint::Run;
 use crate::reflectance::orientation::face_cameras;
 use crate::reflectance::texture::{Solver, Stage, Texture, TextureError};
 use crate::scene::{Camera, Scene};
@@ -24,6 +25,7 @@ use crate::session::{Session, SessionError, store};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
+use std::collections::BTreeMap;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
@@ -63,6 +65,12 @@ pub struct ProcessSummary {
     pub mean_reflectance: [f64; 3],
     /// How the rounds of bounces converged.
     pub rounds: Vec<Round>,
+    /// How the solve of the texels converged.
+    pub runs: Vec<Run>,
+    /// Energy of each pair's pulse against the calibration's, by pair, as texture and measurement tell together.
+    pub gains: BTreeMap<String, FlashGain>,
+    /// Standard deviation of the lens's blur by channel, pixels, as the photographs tell.
+    pub blur: [f32; 3],
     /// Meshes whose winding was turned, because the cameras saw them from behind.
     pub turned: Vec<String>,
     /// Nothing had changed since the last run, so nothing was computed. Not stored.
@@ -347,7 +355,12 @@ fn solve_and_write(
     }
     eprintln!("looked {:?}", tick.elapsed());
     let texture = settled.solve(inputs.calibration.noise.gain, progress)?;
-    eprintln!("solved {:?} {:?} {:?}", tick.elapsed(), texture.runs, texture.gains.iter().map(|g| (g.value * 1e4) as i64).collect::<Vec<_>>());
+    eprintln!(
+        "solved {:?} {:?} {:?}",
+        tick.elapsed(),
+        texture.runs,
+        texture.gains.iter().map(|g| (g.value * 1e4) as i64).collect::<Vec<_>>()
+    );
     let mut summary = summarise(inputs, &texture, size);
     summary.turned = turned;
     progress.report("writing the model", 0, 1);
@@ -375,6 +388,14 @@ fn summarise(inputs: &Inputs, texture: &Texture, size: usize) -> ProcessSummary 
         median_deviation: deviations.get(seen / 2).map_or(0.0, |d| f64::from(*d)),
         mean_reflectance: sum.map(|s| s / seen.max(1) as f64),
         rounds: texture.rounds.clone(),
+        runs: texture.runs.clone(),
+        gains: inputs
+            .matched
+            .iter()
+            .map(|(p, _)| p.name.clone())
+            .zip(texture.gains.iter().copied())
+            .collect(),
+        blur: texture.blur,
         turned: vec![],
         up_to_date: false,
         views: (0, 0),

@@ -5,13 +5,15 @@
 //! a fourth channel A: 1 where it is known, 0 (and R, G, B 0) where the view shows no mesh, a site was clipped,
 //! or too little light fell.
 
-use super::develop::{known_light, lamp};
+use super::develop::{known_sites, lamp};
 use super::manifest::{StageManifest, digest};
 use super::process::{Inputs, ProcessError, ProcessOptions, io, process, stage, whole};
 use crate::codec::exr_image::{self, Meta};
+use crate::photometry::demosaic;
 use crate::progress::Progress;
 use crate::reflectance::bounce::simulate;
-use crate::reflectance::maps::view_maps;
+use crate::reflectance::maps::{own_look, view_maps};
+use crate::reflectance::project::{Projection, Surroundings};
 use crate::session::{Session, store};
 
 /// Reflectance of the surface elements as the texture's run left it, three little-endian f32 an element.
@@ -37,6 +39,14 @@ fn elements(session: &Session) -> Result<Vec<[f32; 3]>, ProcessError> {
     let bytes = std::fs::read(&path).map_err(io(&path))?;
     let number = |at: &[u8]| f32::from_le_bytes([at[0], at[1], at[2], at[3]]);
     Ok(bytes.chunks_exact(12).map(|e| [number(e), number(&e[4..]), number(&e[8..])]).collect())
+}
+
+/// The finished texture and its side.
+fn texels(session: &Session) -> Result<(Vec<[f32; 3]>, usize), ProcessError> {
+    let path = session.model_dir().join("reflectance.exr");
+    let texture = exr_image::read(&path)?.rgb().filter(|t| t.width() == t.height());
+    let texture = texture.ok_or(ProcessError::Stale(path))?;
+    Ok((texture.pixels().to_vec(), texture.width()))
 }
 
 pub(super) fn make(
@@ -67,14 +77,29 @@ pub(super) fn make(
     if rho.len() != stage.elements.len() {
         return Err(ProcessError::Stale(rho_file));
     }
+    let (texels, size) = texels(session)?;
+    let Some(around) = Surroundings::new(&scene.meshes, &stage.elements, &rho, size) else {
+        return Err(ProcessError::Stale(rho_file));
+    };
+    let summary = super::process::stored(session).ok_or_else(|| ProcessError::Stale(rho_file.clone()))?;
     let made = missing.len();
     for (i, (pair, camera)) in missing.into_iter().enumerate() {
         progress.report("per-view images", i, made);
-        let known = known_light(session, pair, &inputs.calibration, inputs.gain(pair))?;
+        let sites = known_sites(session, pair, &inputs.calibration)?;
+        let gain = summary.gains.get(&pair.name).copied().unwrap_or(inputs.gain(pair));
+        let known = demosaic(&sites, inputs.calibration.radiance).at_reference(gain);
         let lamp = lamp(pair, &inputs.calibration)?;
         let light = stage.illuminate(camera, &lamp);
         let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &rho);
-        let maps = view_maps(&light, &known, &stage.elements, &bounced, progress)?;
+        let mut maps = view_maps(&light, &known, &stage.elements, &bounced, progress)?;
+        if let Some(view) = Projection::look(&around, &light, &bounced, &sites, progress)? {
+            let own = own_look(&light, &view, &texels, gain.value, summary.blur);
+            for (to, from) in maps.reflectance.pixels_mut().iter_mut().zip(own.pixels()) {
+                if from.is_some() {
+                    *to = *from;
+                }
+            }
+        }
         let folder = format!("derived/views/{}", pair.name);
         let names = ["known", "irradiance", "reflectance"].map(|n| format!("{folder}/{n}.exr"));
         let meta = |what: &str| Meta {

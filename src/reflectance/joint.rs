@@ -162,7 +162,11 @@ impl State<'_> {
         Ok(())
     }
 
-    pub(super) fn weights(&self, texels: &[[f32; 3]], progress: &Progress) -> Result<Vec<Weights>, Cancelled> {
+    pub(super) fn weights(
+        &self,
+        texels: &[[f32; 3]],
+        progress: &Progress,
+    ) -> Result<Vec<Weights>, Cancelled> {
         let mut all = vec![];
         self.each_view(
             |v, photo| {
@@ -291,9 +295,8 @@ impl State<'_> {
                 let lit = photo.projection.predict(texels, true, self.blur);
                 Ok(Image::from_fn(lit.width(), lit.height(), |x, y| {
                     let own = *lit.at(x, y);
-                    let near = |dx: isize, dy: isize| {
-                        *lit.get(x as isize + dx, y as isize + dy).unwrap_or(&own)
-                    };
+                    let near =
+                        |dx: isize, dy: isize| *lit.get(x as isize + dx, y as isize + dy).unwrap_or(&own);
                     let (l, r, u, d) = (near(-1, 0), near(1, 0), near(0, -1), near(0, 1));
                     std::array::from_fn(|c| 0.5 * (l[c] + r[c] + u[c] + d[c] - 4.0 * own[c]))
                 }))
@@ -448,8 +451,7 @@ impl<'a> System<'a> {
 
     fn step(&mut self, texels: &mut Texels, progress: &Progress) -> Result<(), Cancelled> {
         let with = (!self.slopes.is_empty()).then_some((self.slopes.as_slice(), self.lens.direction));
-        let (mut moved, part) =
-            self.state.gradient(self.weights, &self.direction, false, with, progress)?;
+        let (mut moved, part) = self.state.gradient(self.weights, &self.direction, false, with, progress)?;
         for (m, d) in moved.iter_mut().zip(&self.direction) {
             (0..3).for_each(|c| m[c] = PRIOR.powi(-2) * d[c] - m[c]);
         }
@@ -471,9 +473,8 @@ impl<'a> System<'a> {
         }
         let (z, lens_z) = self.conditioned();
         let next = self.product(&z, &lens_z);
-        let keep: [f64; 3] = std::array::from_fn(|c| {
-            if self.strength[c] > 0.0 { next[c] / self.strength[c] } else { 0.0 }
-        });
+        let keep: [f64; 3] =
+            std::array::from_fn(|c| if self.strength[c] > 0.0 { next[c] / self.strength[c] } else { 0.0 });
         for (d, z) in self.direction.iter_mut().zip(&z) {
             (0..3).for_each(|c| d[c] = z[c] + keep[c] as f32 * d[c]);
         }

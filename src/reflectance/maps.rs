@@ -3,8 +3,14 @@
 //! For people who texture elsewhere (the thesis's way). Reflectance is absent where the view shows no mesh or
 //! one from behind, where a site was clipped, and where so little light fell that noise alone would blur it by more than
 //! [`MOST_DEVIATION`].
+//!
+//! Where the view shows the object, [`own_look`] does better than a ratio: light and colour change within the lens's
+//! blur, and a ratio of blurred light is not the blurred ratio. What the texture leaves of the sensor sites is
+//! interpolated instead of the sites themselves (demosaicing by residuals: Kiku, Monno, Tanaka and Okutomi, "Residual
+//! interpolation for color image demosaicking", 2013), and counts by its own noise against [`OWN`].
 
 use super::observe::Illumination;
+use super::project::Projection;
 use crate::light::{Elements, interpolate};
 use crate::photometry::Known;
 use crate::progress::{Cancelled, Progress};
@@ -21,6 +27,12 @@ const GRAZING: f32 = 0.1;
 
 /// Largest standard deviation (of 1) of a reflectance that is given.
 pub const MOST_DEVIATION: f32 = 0.1;
+
+/// Standard deviation by which one view may honestly differ from the texture, of 1.
+const OWN: f32 = 0.05;
+
+/// Least share of a pixel, through the lens, that must be object.
+const LEAST_COVER: f32 = 0.5;
 
 /// One view's images, of the photo's size.
 pub struct ViewMaps {
@@ -59,6 +71,62 @@ pub fn view_maps(
         firm.then(|| std::array::from_fn(|c| p[c] / m[c]))
     });
     Ok(ViewMaps { white: white.map(|m| m.unwrap_or([0.0; 3])), reflectance })
+}
+
+/// The object as one view saw it: the texture through the lens, and what this view's sites say beside it, weighed by its
+/// noise. Reflectance through the lens, by pixel of the frame; `None` elsewhere.
+pub fn own_look(
+    light: &Illumination,
+    view: &Projection,
+    texels: &[[f32; 3]],
+    gain: f64,
+    blur: [f32; 3],
+) -> Image<Option<[f32; 3]>> {
+    let lens = &light.camera().intrinsics;
+    let (predicted, white) = (view.predict(texels, true, blur), view.white(blur));
+    let (seen, cover) = view.plain(texels, blur);
+    let mut out = Image::filled(lens.width, lens.height, None);
+    let g = gain as f32;
+    for y in 0..view.window.height {
+        for x in 0..view.window.width {
+            let (m, share) = (white.at(x, y), cover.at(x, y));
+            if (0..3).any(|c| m[c] <= 0.0 || share[c] < LEAST_COVER) {
+                continue;
+            }
+            let left = left_over(view, &predicted, g, x, y);
+            *out.at_mut(view.window.left + x, view.window.top + y) = Some(std::array::from_fn(|c| {
+                let (value, variance) =
+                    left[c].map_or((0.0, f32::INFINITY), |(r, v)| (r / (g * m[c]), v / (g * m[c]).powi(2)));
+                let trust = OWN * OWN / (OWN * OWN + variance);
+                seen.at(x, y)[c] / share[c] + trust * value
+            }));
+        }
+    }
+    out
+}
+
+/// What the prediction leaves of the sites round a pixel, by colour, and its variance: bilinear interpolation.
+fn left_over(view: &Projection, predicted: &Rgb, g: f32, x: usize, y: usize) -> [Option<(f32, f32)>; 3] {
+    let (mut sum, mut weight, mut variance) = ([0.0f32; 3], [0.0f32; 3], [0.0f32; 3]);
+    let own = view.sites.at(x, y);
+    for dy in -1isize..=1 {
+        for dx in -1isize..=1 {
+            let (sx, sy) = (x as isize + dx, y as isize + dy);
+            let (Some(site), Some(p)) = (view.sites.get(sx, sy), predicted.get(sx, sy)) else { continue };
+            let c = usize::from(site.colour);
+            let middle = site.colour == own.colour && own.variance.is_finite();
+            if !site.variance.is_finite() || (middle && (dx, dy) != (0, 0)) {
+                continue;
+            }
+            let w = ((2 - dx.abs()) * (2 - dy.abs())) as f32;
+            sum[c] += w * (site.known - g * p[c]);
+            weight[c] += w;
+            variance[c] += w * w * site.variance;
+        }
+    }
+    std::array::from_fn(|c| {
+        (weight[c] > 0.0).then(|| (sum[c] / weight[c], variance[c] / (weight[c] * weight[c])))
+    })
 }
 
 /// Mean over the pixel of what white would have read; `None` unless every sample meets a mesh.

@@ -128,9 +128,9 @@ pub struct View<'a> {
 }
 
 impl View<'_> {
-    /// The view's look at a point (metres, world) with unit normal; `None` where it does not see it, sees it
-    /// at a grazing angle, or clipped.
-    pub fn observe(&self, point: Vec3, normal: Vec3) -> Option<Observation> {
+    /// The view's look at a point (metres, world) with unit normal in `direct` light (irradiance per unit radiance);
+    /// `None` where it does not see it, sees it at a grazing angle, or clipped.
+    pub fn observe(&self, point: Vec3, normal: Vec3, direct: f32) -> Option<Observation> {
         let Illumination { camera, lamp, .. } = self.illumination;
         let way = camera.centre() - point.as_dvec3();
         if normal.as_dvec3().dot(way) <= GRAZING * way.length() {
@@ -143,7 +143,7 @@ impl View<'_> {
                 *v += (EDGE_DEVIATION * k).powi(2);
             }
         }
-        let unit = self.illumination.direct(point, normal);
+        let unit = f64::from(direct);
         let response = lamp.field.at(&camera.intrinsics, pixel) / PI;
         let white = lamp.radiance.map(|r| (r * response * unit) as f32);
         let focal = camera.intrinsics.focal;

@@ -172,9 +172,7 @@ impl Projection {
                 let (sx, sy) = (window.left + x, window.top + y);
                 let colour = known.cfa.colour(sx, sy) as u8;
                 match known.value.get(sx as isize, sy as isize) {
-                    Some(Some(value)) => {
-                        Site { colour, known: *value, variance: *known.variance.at(sx, sy) }
-                    }
+                    Some(Some(value)) => Site { colour, known: *value, variance: *known.variance.at(sx, sy) },
                     _ => Site { colour, known: 0.0, variance: f32::INFINITY },
                 }
             }),
@@ -237,6 +235,21 @@ impl Projection {
 
     pub(super) fn blank(&self) -> Rgb {
         Image::filled(self.window.width, self.window.height, [0.0; 3])
+    }
+
+    /// The texture itself through the lens, whatever light falls on it, times the share of each pixel that is object;
+    /// and that share.
+    pub(super) fn plain(&self, texture: &[[f32; 3]], blur: [f32; 3]) -> (Rgb, Rgb) {
+        let (mut seen, mut cover) = (self.blank(), self.blank());
+        for s in &self.samples {
+            let rho = self.read(texture, s);
+            for c in 0..3 {
+                seen.pixels_mut()[s.pixel as usize][c] += rho[c];
+                cover.pixels_mut()[s.pixel as usize][c] += 1.0;
+            }
+        }
+        let share = |image: Rgb| image.map(|p| p.map(|v| v / (GRID * GRID) as f32));
+        (gaussian_each(&share(seen), blur), gaussian_each(&share(cover), blur))
     }
 
     fn read(&self, texture: &[[f32; 3]], s: &Sample) -> [f32; 3] {
@@ -325,9 +338,8 @@ fn row(
             let (element, at) =
                 around.elements.locate(met.mesh as usize, met.triangle as usize, met.uv[0], met.uv[1]);
             let bounce = interpolate(&bounced[element], at);
-            let white: [f32; 3] = std::array::from_fn(|c| {
-                ((lamp.radiance[c] * unit + f64::from(bounce[c])) * response) as f32
-            });
+            let white: [f32; 3] =
+                std::array::from_fn(|c| ((lamp.radiance[c] * unit + f64::from(bounce[c])) * response) as f32);
             let place = if met.mesh == 0 { place(around, met.triangle as usize, met.uv) } else { None };
             match place {
                 Some((texel, at)) => {
@@ -374,7 +386,12 @@ impl Surroundings<'_> {
     }
 
     /// Pixels of the window that show the object or may do so through the lens's blur.
-    fn wanted(&self, camera: &Camera, window: &Window, progress: &Progress) -> Result<Image<bool>, Cancelled> {
+    fn wanted(
+        &self,
+        camera: &Camera,
+        window: &Window,
+        progress: &Progress,
+    ) -> Result<Image<bool>, Cancelled> {
         let (width, height) = (window.width.div_ceil(SEARCH_STEP), window.height.div_ceil(SEARCH_STEP));
         let rows: Vec<Vec<bool>> = (0..height)
             .into_par_iter()
@@ -402,7 +419,10 @@ fn shared_share(light: &Illumination, met: &[Option<Met>; GRID * GRID]) -> Optio
     for m in met {
         let m = (*m)?;
         let apart = (m.point - first.point).dot(first.normal).abs();
-        if m.mesh != first.mesh || m.normal.dot(first.normal) < ONE_FACE || apart > ONE_PLACE * first.footprint {
+        if m.mesh != first.mesh
+            || m.normal.dot(first.normal) < ONE_FACE
+            || apart > ONE_PLACE * first.footprint
+        {
             return None;
         }
         point += m.point / met.len() as f32;

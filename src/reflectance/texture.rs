@@ -143,10 +143,13 @@ impl<'a> Solver<'a> {
         progress.check()?;
         let direct = self.stage.direct(&light);
         progress.check()?;
-        let observe = |point, normal| if normal == Vec3::ZERO { None } else { view.observe(point, normal) };
         let seen = (0..elements.len())
             .into_par_iter()
-            .filter_map(|e| Some((e as u32, observe(elements.centroid(e), elements.normal(e))?)))
+            .filter(|&e| elements.normal(e) != Vec3::ZERO)
+            .filter_map(|e| {
+                let look = view.observe(elements.centroid(e), elements.normal(e), direct[e])?;
+                Some((e as u32, look))
+            })
             .collect();
         self.lights.push(ViewLight { direct, radiance: lamp.radiance, seen });
         Ok(())
@@ -154,15 +157,27 @@ impl<'a> Solver<'a> {
 
     /// Settles the bounces; then the views are looked at again, in the same order.
     pub fn settle(self, progress: &Progress) -> Result<Settled<'a>, TextureError> {
-        if self.lights.iter().all(|v| v.seen.iter().all(|(e, _)| self.stage.elements.mesh_of(*e as usize) != 0)) {
+        if self
+            .lights
+            .iter()
+            .all(|v| v.seen.iter().all(|(e, _)| self.stage.elements.mesh_of(*e as usize) != 0))
+        {
             return Err(TextureError::Unseen);
         }
         let elements = &self.stage.elements;
         let transport = self.stage.transport(progress)?;
         let bounces = Bounces::settle(elements, &transport, &self.lights, progress)?;
-        let around = Surroundings::new(self.meshes, elements, &bounces.rho, self.size)
-            .ok_or(TextureError::Unseen)?;
-        Ok(Settled { stage: self.stage, size: self.size, points: self.points, around, bounces, photos: vec![] })
+        let around =
+            Surroundings::new(self.meshes, elements, &bounces.rho, self.size).ok_or(TextureError::Unseen)?;
+        Ok(Settled {
+            stage: self.stage,
+            size: self.size,
+            points: self.points,
+            around,
+            bounces,
+            photos: vec![],
+            places: vec![],
+        })
     }
 }
 
@@ -174,6 +189,8 @@ pub struct Settled<'a> {
     around: Surroundings<'a>,
     bounces: Bounces,
     photos: Vec<Photo>,
+    /// Per added view, its place among `photos` and its measured energy.
+    places: Vec<(Option<usize>, FlashGain)>,
 }
 
 impl Settled<'_> {
@@ -189,9 +206,9 @@ impl Settled<'_> {
     ) -> Result<(), Cancelled> {
         let light = self.stage.illuminate(camera, lamp);
         let bounced = self.bounces.of_view(index);
-        if let Some(projection) = Projection::look(&self.around, &light, &bounced, known, progress)? {
-            self.photos.push(Photo { projection, gain });
-        }
+        let seen = Projection::look(&self.around, &light, &bounced, known, progress)?;
+        self.places.push((seen.is_some().then_some(self.photos.len()), gain));
+        self.photos.extend(seen.map(|projection| Photo { projection, gain }));
         Ok(())
     }
 
@@ -210,6 +227,7 @@ impl Settled<'_> {
             }
             filled.pixels_mut()[p.texel as usize] = Some(rho);
         }
+        let gains = self.places.iter().map(|(at, measured)| at.map_or(*measured, |at| gains[at])).collect();
         let rounds = self.bounces.rounds.clone();
         let surface = self.points.len();
         Ok(Texture { estimates, filled, surface, rounds, runs, gains, blur, bounces: self.bounces })
