@@ -1,12 +1,14 @@
 //! Light: the ray kernel, the ring lamp, direct light, and the transport of bounces.
 
 mod elements;
+mod film;
 mod kernel;
 mod ring;
 mod sight;
 mod transport;
 
 pub use elements::{Elements, interpolate};
+pub use film::{Spot, expose};
 pub use kernel::{Hit, RayKernel};
 pub use ring::{Ring, RingError};
 pub use sight::Sight;
