@@ -21,8 +21,7 @@ mod samples;
 
 use against_path::{Error, Scene};
 use processes::cpu_seconds;
-use unlit::light::expose;
-use unlit::light::interpolate;
+use unlit::light::{Finish, Spot, expose, interpolate};
 use unlit::progress::Progress;
 use unlit::reflectance::bounce::simulate;
 
@@ -52,39 +51,49 @@ fn run(scene: &Scene, stride: usize) {
         println!("  camera {}", camera.name);
         let lamp = scene.lamp();
         let light = timed("the view's free sight", || stage.illuminate(camera, &lamp));
-        let map = timed("direct map", || {
-            let shade = |s: &unlit::light::Spot| {
-                (s.facing > 0.0).then(|| [light.direct(s.point, s.normal) as f32, 0.0, 0.0])
-            };
-            expose(camera, &stage.elements, shade, &Progress::silent()).unwrap()
+        let shade = |s: &Spot| (s.facing > 0.0).then(|| [light.glimpsed(s.point, s.normal) as f32, 0.0, 0.0]);
+        let maps = [Finish::Fast, Finish::Fine].map(|finish| {
+            timed(&format!("direct map, {finish:?}"), || {
+                expose(camera, &stage.elements, light.sight(), finish, shade, &Progress::silent()).unwrap()
+            })
         });
         let reference = timed("(path trace, direct)", || scene.direct_reference(camera, stride));
-        Error::of(
-            reference
-                .iter()
-                .map(|(x, y, [a, b])| (map.at(*x, *y).map(|m| f64::from(m[0])), a.direct, b.direct)),
-        )
-        .print("direct map");
+        for (map, finish) in maps.iter().zip(["Fast", "Fine"]) {
+            Error::of(
+                reference
+                    .iter()
+                    .map(|(x, y, [a, b])| (map.at(*x, *y).map(|m| f64::from(m[0])), a.direct, b.direct)),
+            )
+            .print(&format!("direct map, {finish}"));
+        }
+        if std::env::var_os("UNLIT_LIGHT_DIRECT").is_some() {
+            continue;
+        }
         let direct = timed("direct on elements", || stage.direct(&light));
         for (name, rho, materials) in scene.materials(&stage) {
             let bounced = timed("bounces on elements", || simulate(&transport, &direct, lamp.radiance, &rho));
             let corners = timed("smoothed", || stage.elements.smooth(&bounced));
-            let map = timed("bounced map", || {
-                let shade = |s: &unlit::light::Spot| {
-                    let b = interpolate(&corners[s.element], s.at);
-                    (s.facing > 0.0).then(|| b.map(|b| b + light.direct(s.point, s.normal) as f32))
-                };
-                expose(camera, &stage.elements, shade, &Progress::silent()).unwrap()
+            let shade = |s: &Spot| {
+                let b = interpolate(&corners[s.element], s.at);
+                (s.facing > 0.0).then(|| b.map(|b| b + light.glimpsed(s.point, s.normal) as f32))
+            };
+            let maps = [Finish::Fast, Finish::Fine].map(|finish| {
+                timed(&format!("map with bounces, {finish:?}"), || {
+                    expose(camera, &stage.elements, light.sight(), finish, shade, &Progress::silent())
+                        .unwrap()
+                })
             });
             let reference =
                 timed("(path trace, bounces)", || scene.bounced_reference(&materials, camera, 2 * stride));
-            Error::of(reference.iter().flat_map(|(x, y, [a, b])| {
-                let map = *map.at(*x, *y);
-                (0..3).map(move |c| {
-                    (map.map(|m| f64::from(m[c])), a.direct + a.bounced[c], b.direct + b.bounced[c])
-                })
-            }))
-            .print(&format!("{name}: map with bounces"));
+            for (map, finish) in maps.iter().zip(["Fast", "Fine"]) {
+                Error::of(reference.iter().flat_map(|(x, y, [a, b])| {
+                    let map = *map.at(*x, *y);
+                    (0..3).map(move |c| {
+                        (map.map(|m| f64::from(m[c])), a.direct + a.bounced[c], b.direct + b.bounced[c])
+                    })
+                }))
+                .print(&format!("{name}: map with bounces, {finish}"));
+            }
             let points = timed("(path trace, points)", || scene.points(&materials, &stage, camera, 4000));
             Error::of(points.iter().flat_map(|p| {
                 let b = interpolate(&corners[p.element], p.at);

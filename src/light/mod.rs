@@ -8,7 +8,7 @@ mod sight;
 mod transport;
 
 pub use elements::{Elements, interpolate};
-pub use film::{Spot, expose};
+pub use film::{Finish, Spot, expose};
 pub use kernel::{Hit, RayKernel};
 pub use ring::{Ring, RingError};
 pub use sight::Sight;
