@@ -71,7 +71,9 @@ fn run(scene: &Scene, stride: usize) {
         }
         let direct = timed("direct on elements", || stage.direct(&light));
         for (name, rho, materials) in scene.materials(&stage) {
-            let bounced = timed("bounces on elements", || simulate(&transport, &direct, lamp.radiance, &rho));
+            let bounced = timed("bounces on elements", || {
+                simulate(&transport, &direct, lamp.radiance, &rho, &Progress::silent()).unwrap()
+            });
             let corners = timed("smoothed", || stage.elements.smooth(&bounced));
             let shade = |s: &Spot| {
                 let b = interpolate(&corners[s.element], s.at);

@@ -15,24 +15,26 @@ use rayon::prelude::*;
 /// How exact a pixel's mean is made where it shows more than one smooth piece of surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finish {
-    /// 2 x 2 samples.
+    /// Up to 12 samples a pixel.
     Fast,
-    /// 4 x 4 samples.
+    /// Up to 64.
     Fine,
 }
 
 impl Finish {
-    /// Samples along a pixel's edge.
-    fn grid(self) -> usize {
-        match self {
-            Self::Fast => 2,
-            Self::Fine => 4,
+    /// Samples for a pixel that differs from its neighbours by `contrast`, relative to the larger.
+    fn samples(self, contrast: f32) -> u32 {
+        let (even, mild, some, many) = match self {
+            Self::Fast => (0.1, 0.3, 4, 12),
+            Self::Fine => (0.05, 0.2, 16, 64),
+        };
+        match contrast {
+            c if c <= even => 1,
+            c if c <= mild => some,
+            _ => many,
         }
     }
 }
-
-/// Neighbours that differ by more than this, relative to the larger, are not one smooth piece.
-const CONTRAST: f32 = 0.05;
 
 /// Rows between two looks at the cancel flag, and that share their neighbours.
 const TILE: usize = 16;
@@ -95,8 +97,9 @@ pub fn expose(
         progress.check()?;
         for (i, value) in chunk.iter_mut().enumerate() {
             let (x, y) = (i % width, tile * TILE + i / width);
-            if !is_even(&centres, (width, height), (x, y)) {
-                *value = over_square(&sample, (x, y), finish.grid());
+            let samples = finish.samples(contrast(&centres, (width, height), (x, y)));
+            if samples > 1 {
+                *value = over_square(&sample, (x, y), samples);
             }
         }
         Ok(())
@@ -104,24 +107,33 @@ pub fn expose(
     Ok(Image::from_fn(width, height, |x, y| means[y * width + x]))
 }
 
-/// Whether the eight neighbours of a pixel and itself are alike.
-fn is_even(values: &[Option<[f32; 3]>], (width, height): (usize, usize), (x, y): (usize, usize)) -> bool {
+/// The largest difference between a pixel and its eight neighbours, relative to the larger; endless between something
+/// and nothing.
+fn contrast(values: &[Option<[f32; 3]>], (width, height): (usize, usize), (x, y): (usize, usize)) -> f32 {
     let own = values[y * width + x];
-    (y.saturating_sub(1)..(y + 2).min(height)).all(|v| {
-        (x.saturating_sub(1)..(x + 2).min(width)).all(|u| match (own, values[v * width + u]) {
-            (Some(a), Some(b)) => (0..3).all(|c| (a[c] - b[c]).abs() <= CONTRAST * a[c].max(b[c])),
-            (None, None) => true,
-            _ => false,
-        })
-    })
+    let mut most = 0.0f32;
+    for v in y.saturating_sub(1)..(y + 2).min(height) {
+        for u in x.saturating_sub(1)..(x + 2).min(width) {
+            match (own, values[v * width + u]) {
+                (Some(a), Some(b)) => {
+                    for (a, b) in a.into_iter().zip(b).filter(|(a, b)| a != b) {
+                        most = most.max((a - b).abs() / a.max(b));
+                    }
+                }
+                (None, None) => {}
+                _ => return f32::INFINITY,
+            }
+        }
+    }
+    most
 }
 
 fn over_square(
     sample: impl Fn(DVec2) -> Option<[f32; 3]>,
     (x, y): (usize, usize),
-    grid: usize,
+    count: u32,
 ) -> Option<[f32; 3]> {
-    let (mut sum, count) = ([0.0; 3], (grid * grid) as u32);
+    let mut sum = [0.0; 3];
     for k in 0..count {
         // Hammersley's points, every one in a row and a column of its own.
         let inside = DVec2::new(
@@ -134,4 +146,80 @@ fn over_square(
         }
     }
     Some(sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Distortion, Intrinsics, Mesh};
+    use glam::DAffine3;
+
+    fn camera(distortion: Distortion) -> Camera {
+        let (focal, principal) = (DVec2::splat(60.0), DVec2::new(20.3, 15.0));
+        Camera {
+            name: "1".into(),
+            intrinsics: Intrinsics { width: 40, height: 30, focal, principal, distortion },
+            world_from_camera: DAffine3::IDENTITY,
+        }
+    }
+
+    /// A wall at 1 m that ends at x = 0.
+    fn wall() -> Elements {
+        let p = [[-2.0, -2.0], [0.0, -2.0], [0.0, 2.0], [-2.0, 2.0]];
+        let mesh = Mesh {
+            positions: p.map(|[x, y]| Vec3::new(x, y, 1.0)).into(),
+            triangles: vec![[0, 2, 1], [0, 3, 2]],
+            ..Mesh::default()
+        };
+        Elements::build(&[&mesh], &[9.0])
+    }
+
+    fn exposed(camera: &Camera, shade: impl Fn(&Spot) -> Option<[f32; 3]> + Sync) -> Image<Option<[f32; 3]>> {
+        let elements = wall();
+        let sight = Sight::look(elements.kernel(), elements.normals(), camera, 0.085);
+        expose(camera, &elements, &sight, Finish::Fine, shade, &Progress::silent()).unwrap()
+    }
+
+    #[test]
+    fn a_pixel_holds_the_mean_over_its_square_even_across_a_step() {
+        // Bright above y = 0.0021: the row whose square the step crosses sees its share.
+        let image = exposed(&camera(Distortion::default()), |s| {
+            Some(if s.point.y < 0.0021 { [1.0, 0.5, 0.1] } else { [0.0; 3] })
+        });
+        let row = 15.0 + 60.0 * 0.0021f32;
+        for y in 0..30 {
+            let share = (row - y as f32).clamp(0.0, 1.0);
+            let got = image.at(5, y).unwrap();
+            assert!(
+                (got[0] - share).abs() < 0.02 && (got[1] - 0.5 * share).abs() < 0.02,
+                "{got:?} in row {y}"
+            );
+        }
+        // The wall ends at column 20.3.
+        assert!(image.at(19, 15).is_some() && image.at(20, 15).is_none() && image.at(30, 15).is_none());
+    }
+
+    #[test]
+    fn rays_of_the_sight_and_rays_of_its_own_show_the_same() {
+        let shade = |s: &Spot| Some([s.point.x + 3.0, s.at[0] + 0.1, s.element as f32 + 1.0]);
+        let reused = exposed(&camera(Distortion::default()), shade);
+        // The least of distortions forbids the sight's grid.
+        let traced = exposed(&camera(Distortion { k1: 1e-12, ..Distortion::default() }), shade);
+        for (a, b) in reused.pixels().iter().zip(traced.pixels()) {
+            match (a, b) {
+                (Some(a), Some(b)) => assert!((0..3).all(|c| (a[c] - b[c]).abs() < 1e-4), "{a:?} {b:?}"),
+                _ => assert_eq!(a, b),
+            }
+        }
+    }
+
+    #[test]
+    fn the_number_of_threads_changes_nothing() {
+        let shade = |s: &Spot| Some([(s.point.x * 40.0).sin() + 1.5, s.point.y + 3.0, 1.0]);
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| exposed(&camera(Distortion::default()), shade))
+        };
+        assert_eq!(on(1), on(3));
+    }
 }

@@ -1,6 +1,7 @@
 //! Light: the ray kernel, the ring lamp, direct light, and the transport of bounces.
 
 mod elements;
+mod emitter;
 mod film;
 mod kernel;
 mod ring;
@@ -8,6 +9,7 @@ mod sight;
 mod transport;
 
 pub use elements::{Elements, interpolate};
+pub use emitter::{Emitter, EmitterError, Shape};
 pub use film::{Finish, Spot, expose};
 pub use kernel::{Hit, RayKernel};
 pub use ring::{Ring, RingError};

@@ -178,7 +178,7 @@ impl Ring {
 }
 
 /// A number in 0..1 that depends on a position without visible pattern, the same on every machine and thread.
-fn scrambled(p: Vec3) -> f32 {
+pub(super) fn scrambled(p: Vec3) -> f32 {
     let mut x = p.x.to_bits() ^ p.y.to_bits().rotate_left(11) ^ p.z.to_bits().rotate_left(22);
     x = (x ^ (x >> 16)).wrapping_mul(0x7feb_352d);
     x = (x ^ (x >> 15)).wrapping_mul(0x846c_a68b);

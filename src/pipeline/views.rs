@@ -71,7 +71,7 @@ pub(super) fn make(
         let known = known_light(session, pair, &inputs.calibration, inputs.gain(pair))?;
         let lamp = lamp(pair, &inputs.calibration)?;
         let light = stage.illuminate(camera, &lamp);
-        let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &rho);
+        let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &rho, progress)?;
         let maps = view_maps(&light, &known, &stage.elements, &bounced, progress)?;
         let folder = format!("derived/views/{}", pair.name);
         let names = ["known", "irradiance", "reflectance"].map(|n| format!("{folder}/{n}.exr"));
