@@ -24,6 +24,8 @@ use processes::cpu_seconds;
 use unlit::light::{Finish, Spot, expose, interpolate};
 use unlit::progress::Progress;
 use unlit::reflectance::bounce::simulate;
+use unlit::reflectance::texture::Stage;
+use unlit::scene::Mesh;
 
 fn timed<T>(name: &str, work: impl FnOnce() -> T) -> T {
     let begun = cpu_seconds();
@@ -38,9 +40,57 @@ fn main() {
     for (name, load) in [("birdbath", Scene::birdbath as fn() -> Scene), ("studio", Scene::studio)] {
         if name.contains(&only) {
             println!("{name}");
-            run(&timed("loading", load), stride);
+            let scene = timed("loading", load);
+            growth(&scene);
+            run(&scene, stride);
         }
     }
+}
+
+/// Cost of one view's direct map against pixels and triangles.
+fn growth(scene: &Scene) {
+    let camera = &scene.cameras[scene.cameras.len() / 3];
+    let mut meshes = scene.meshes.clone();
+    for (pixels, refined) in [(0.5, 0), (1.0, 0), (2.0, 0), (1.0, 1)] {
+        if refined > 0 {
+            meshes = meshes.iter().map(halved).collect();
+        }
+        let begun = cpu_seconds();
+        let stage = Stage::build(&meshes);
+        let built = cpu_seconds();
+        let mut camera = camera.clone();
+        let lens = &mut camera.intrinsics;
+        let scaled = |n: usize| (n as f64 * pixels) as usize;
+        (lens.width, lens.height) = (scaled(lens.width), scaled(lens.height));
+        (lens.focal, lens.principal) = (lens.focal * pixels, lens.principal * pixels);
+        let lamp = scene.lamp();
+        let light = stage.illuminate(&camera, &lamp);
+        let looked = cpu_seconds();
+        let shade = |s: &Spot| Some([light.glimpsed(s.point, s.normal) as f32; 3]);
+        let _ = expose(&camera, &stage.elements, light.sight(), Finish::Fast, shade, &Progress::silent());
+        println!(
+            "    {:>4} x {:<4} {:>7} elements: built in {:.2}, sight {:.2}, direct map {:.2} CPU-s",
+            camera.intrinsics.width,
+            camera.intrinsics.height,
+            stage.elements.len(),
+            built - begun,
+            looked - built,
+            cpu_seconds() - looked
+        );
+    }
+}
+
+/// Every triangle cut into four.
+fn halved(mesh: &Mesh) -> Mesh {
+    let mut fine = Mesh::default();
+    for t in 0..mesh.triangles.len() {
+        let [a, b, c] = mesh.corners(t);
+        let (d, e, f) = ((a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0);
+        let first = fine.positions.len() as u32;
+        fine.positions.extend([a, b, c, d, e, f]);
+        fine.triangles.extend([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]].map(|t| t.map(|i| i + first)));
+    }
+    fine
 }
 
 fn run(scene: &Scene, stride: usize) {
@@ -66,9 +116,12 @@ fn run(scene: &Scene, stride: usize) {
             )
             .print(&format!("direct map, {finish}"));
         }
-        if std::env::var_os("UNLIT_LIGHT_DIRECT").is_some() {
-            continue;
-        }
+        let alone = |s: &Spot| if stage.elements.mesh_of(s.element) == 0 { shade(s) } else { None };
+        let map = timed("direct map, Fast, of the object alone", || {
+            expose(camera, &stage.elements, light.sight(), Finish::Fast, alone, &Progress::silent()).unwrap()
+        });
+        let seen = map.pixels().iter().flatten().count();
+        println!("    {seen} pixels show the object alone");
         let direct = timed("direct on elements", || stage.direct(&light));
         for (name, rho, materials) in scene.materials(&stage) {
             let bounced = timed("bounces on elements", || {

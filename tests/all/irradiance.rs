@@ -49,6 +49,18 @@ fn agrees(scene: &Scene, camera: usize) {
             })
         });
         within(name, &Error::of(all), 0.005, 0.02);
+        // The bounced part by itself, where the texture takes it: nothing of it is lost between near surfaces.
+        let points = scene.points(&materials, &stage, camera, 1500);
+        let alone = points.iter().flat_map(|p| {
+            let (b, [r, s]) = (interpolate(&corners[p.element], p.at), p.reference);
+            (0..3).map(move |c| (Some(f64::from(b[c])), r.bounced[c], s.bounced[c]))
+        });
+        within("bounced alone", &Error::of(alone), 0.015, 0.15);
+        let straight = points.iter().map(|p| {
+            let [r, s] = p.reference;
+            (Some(light.direct(p.point, p.normal)), r.direct, s.direct)
+        });
+        within("direct at points", &Error::of(straight), 0.001, 0.01);
     }
 }
 
