@@ -12,8 +12,11 @@
 
 pub mod atlas;
 pub mod bounce;
+pub mod joint;
 pub mod maps;
 pub mod observe;
 pub mod orientation;
+pub mod project;
 pub mod solve;
 pub mod texture;
+mod uncertainty;
