@@ -2,7 +2,7 @@
 //!
 //! One sample at each pixel's centre, which is exact to second order where a pixel shows one smooth piece of surface
 //! in even light; where the eight neighbours tell of anything else (another surface, a shadow's edge, a change
-//! of slope), a grid of samples over the pixel takes its place. (Adaptive supersampling: Whitted, "An improved
+//! of slope), samples all over the pixel take its place. (Adaptive supersampling: Whitted, "An improved
 //! illumination model for shaded display", 1980.)
 
 use super::{Elements, Sight};

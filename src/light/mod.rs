@@ -1,4 +1,4 @@
-//! Light: the ray kernel, the ring lamp, direct light, and the transport of bounces.
+//! Light: the ray kernel, lamps, direct light, its mean over a camera's pixels, and the transport of bounces.
 
 mod elements;
 mod emitter;

@@ -145,7 +145,11 @@ impl State<'_> {
         Ok(())
     }
 
-    pub(super) fn weights(&self, texels: &[[f32; 3]], progress: &Progress) -> Result<Vec<Weights>, Cancelled> {
+    pub(super) fn weights(
+        &self,
+        texels: &[[f32; 3]],
+        progress: &Progress,
+    ) -> Result<Vec<Weights>, Cancelled> {
         let mut all = vec![];
         self.each_view(
             |v, photo| {
@@ -276,10 +280,7 @@ impl State<'_> {
             (0..3).for_each(|c| r[c] += precision * (s[c] - x[c]));
         }
         let conditioned = |r: &Texels| -> Texels {
-            r.par_iter()
-                .zip(&sums)
-                .map(|(r, m)| std::array::from_fn(|c| r[c] / (m[c] + precision)))
-                .collect()
+            r.par_iter().zip(&sums).map(|(r, m)| std::array::from_fn(|c| r[c] / (m[c] + precision))).collect()
         };
         let mut z = conditioned(&residual);
         let mut direction = z.clone();
@@ -292,9 +293,8 @@ impl State<'_> {
                 (0..3).for_each(|c| m[c] = precision * d[c] - m[c]);
             }
             let curvature = dot(&direction, &moved);
-            let length: [f64; 3] = std::array::from_fn(|c| {
-                if curvature[c] > 0.0 { strength[c] / curvature[c] } else { 0.0 }
-            });
+            let length: [f64; 3] =
+                std::array::from_fn(|c| if curvature[c] > 0.0 { strength[c] / curvature[c] } else { 0.0 });
             for ((x, d), (r, m)) in texels.iter_mut().zip(&direction).zip(residual.iter_mut().zip(&moved)) {
                 for c in 0..3 {
                     x[c] += length[c] as f32 * d[c];

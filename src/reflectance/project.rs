@@ -162,9 +162,7 @@ impl Projection {
                 let (sx, sy) = (window.left + x, window.top + y);
                 let colour = known.cfa.colour(sx, sy) as u8;
                 match known.value.get(sx as isize, sy as isize) {
-                    Some(Some(value)) => {
-                        Site { colour, known: *value, variance: *known.variance.at(sx, sy) }
-                    }
+                    Some(Some(value)) => Site { colour, known: *value, variance: *known.variance.at(sx, sy) },
                     _ => Site { colour, known: 0.0, variance: f32::INFINITY },
                 }
             }),
@@ -311,9 +309,8 @@ fn row(
             let unit = light.direct(origin + ray * hit.t, normal);
             let (element, at) = around.elements.locate(mesh as usize, triangle as usize, hit.u, hit.v);
             let bounce = interpolate(&bounced[element], at);
-            let white: [f32; 3] = std::array::from_fn(|c| {
-                ((lamp.radiance[c] * unit + f64::from(bounce[c])) * response) as f32
-            });
+            let white: [f32; 3] =
+                std::array::from_fn(|c| ((lamp.radiance[c] * unit + f64::from(bounce[c])) * response) as f32);
             let place = if mesh == 0 { place(around, triangle as usize, hit.u, hit.v) } else { None };
             match place {
                 Some((texel, at)) => {
