@@ -99,7 +99,7 @@ pub fn expose(
             let (x, y) = (i % width, tile * TILE + i / width);
             let samples = finish.samples(contrast(&centres, (width, height), (x, y)));
             if samples > 1 {
-                *value = over_square(&sample, (x, y), samples);
+                *value = over_square(sample, (x, y), samples);
             }
         }
         Ok(())
