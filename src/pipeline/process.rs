@@ -347,12 +347,7 @@ fn solve_and_write(
     }
     eprintln!("looked {:?}", tick.elapsed());
     let texture = settled.solve(inputs.calibration.noise.gain, progress)?;
-    eprintln!(
-        "solved {:?} {:?} {:?}",
-        tick.elapsed(),
-        texture.runs,
-        texture.gains.iter().map(|g| (g.value * 1e4) as i64).collect::<Vec<_>>()
-    );
+    eprintln!("solved {:?} {:?} {:?}", tick.elapsed(), texture.runs, texture.gains.iter().map(|g| (g.value * 1e4) as i64).collect::<Vec<_>>());
     let mut summary = summarise(inputs, &texture, size);
     summary.turned = turned;
     progress.report("writing the model", 0, 1);

@@ -162,11 +162,7 @@ impl State<'_> {
         Ok(())
     }
 
-    pub(super) fn weights(
-        &self,
-        texels: &[[f32; 3]],
-        progress: &Progress,
-    ) -> Result<Vec<Weights>, Cancelled> {
+    pub(super) fn weights(&self, texels: &[[f32; 3]], progress: &Progress) -> Result<Vec<Weights>, Cancelled> {
         let mut all = vec![];
         self.each_view(
             |v, photo| {
@@ -326,59 +322,6 @@ impl State<'_> {
         Ok(sum)
     }
 
-<<<<<<< HEAD
-    /// Steps of conjugate gradients; gives the misfit before them.
-    fn descend(
-        &self,
-        weights: &[Weights],
-        start: &[[f32; 3]],
-        texels: &mut Texels,
-        run: usize,
-        progress: &Progress,
-    ) -> Result<f64, Cancelled> {
-        let precision = PRIOR.powi(-2);
-        let sums = self.sums(weights, texels.len(), progress)?;
-        let (mut residual, misfit) = self.gradient(weights, texels, true, progress)?;
-        for ((r, x), s) in residual.iter_mut().zip(texels.iter()).zip(start) {
-            (0..3).for_each(|c| r[c] += precision * (s[c] - x[c]));
-        }
-        let conditioned = |r: &Texels| -> Texels {
-            r.par_iter().zip(&sums).map(|(r, m)| std::array::from_fn(|c| r[c] / (m[c] + precision))).collect()
-        };
-        let mut z = conditioned(&residual);
-        let mut direction = z.clone();
-        let mut strength = dot(&residual, &z);
-        for step in 0..STEPS {
-            progress.check()?;
-            progress.report("solving texels", run * STEPS + step, RUNS * STEPS);
-            let (mut moved, _) = self.gradient(weights, &direction, false, progress)?;
-            for (m, d) in moved.iter_mut().zip(&direction) {
-                (0..3).for_each(|c| m[c] = precision * d[c] - m[c]);
-            }
-            let curvature = dot(&direction, &moved);
-            let length: [f64; 3] =
-                std::array::from_fn(|c| if curvature[c] > 0.0 { strength[c] / curvature[c] } else { 0.0 });
-            for ((x, d), (r, m)) in texels.iter_mut().zip(&direction).zip(residual.iter_mut().zip(&moved)) {
-                for c in 0..3 {
-                    x[c] += length[c] as f32 * d[c];
-                    r[c] -= length[c] as f32 * m[c];
-                }
-            }
-            z = conditioned(&residual);
-            let next = dot(&residual, &z);
-            for (d, z) in direction.iter_mut().zip(&z) {
-                for c in 0..3 {
-                    let keep = if strength[c] > 0.0 { (next[c] / strength[c]) as f32 } else { 0.0 };
-                    d[c] = z[c] + keep * d[c];
-                }
-            }
-            strength = next;
-        }
-        Ok(misfit)
-    }
-
-=======
->>>>>>> main
     /// Every pulse's energy from its own photograph and its measurement, the texture being what it is. The mean over
     /// the pulses belongs to the texture: it goes where the measurements want it.
     fn energies(&self, weights: &[Weights], texels: &mut Texels) -> Vec<FlashGain> {

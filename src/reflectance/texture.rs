@@ -154,26 +154,15 @@ impl<'a> Solver<'a> {
 
     /// Settles the bounces; then the views are looked at again, in the same order.
     pub fn settle(self, progress: &Progress) -> Result<Settled<'a>, TextureError> {
-        if self
-            .lights
-            .iter()
-            .all(|v| v.seen.iter().all(|(e, _)| self.stage.elements.mesh_of(*e as usize) != 0))
-        {
+        if self.lights.iter().all(|v| v.seen.iter().all(|(e, _)| self.stage.elements.mesh_of(*e as usize) != 0)) {
             return Err(TextureError::Unseen);
         }
         let elements = &self.stage.elements;
         let transport = self.stage.transport(progress)?;
         let bounces = Bounces::settle(elements, &transport, &self.lights, progress)?;
-        let around =
-            Surroundings::new(self.meshes, elements, &bounces.rho, self.size).ok_or(TextureError::Unseen)?;
-        Ok(Settled {
-            stage: self.stage,
-            size: self.size,
-            points: self.points,
-            around,
-            bounces,
-            photos: vec![],
-        })
+        let around = Surroundings::new(self.meshes, elements, &bounces.rho, self.size)
+            .ok_or(TextureError::Unseen)?;
+        Ok(Settled { stage: self.stage, size: self.size, points: self.points, around, bounces, photos: vec![] })
     }
 }
 

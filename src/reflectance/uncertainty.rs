@@ -111,7 +111,8 @@ fn residuals(state: &State, v: usize, photo: &Photo, weights: &Weights, texels: 
         }
     }
     let both = gaussian(&both, PATCH_SIGMA);
-    let residual = both.map(|b| std::array::from_fn(|c| if b[3 + c] > 0.0 { b[c] / b[3 + c] } else { 0.0 }));
+    let residual =
+        both.map(|b| std::array::from_fn(|c| if b[3 + c] > 0.0 { b[c] / b[3 + c] } else { 0.0 }));
     let info = both.map(|b| std::array::from_fn(|c| b[3 + c] * PATCH_AREA));
     (residual, info)
 }
@@ -186,7 +187,8 @@ fn finish(sums: &[Sums], texels: &[[f32; 3]], size: usize) -> Image<Cell> {
             let (_, promised, _) = own(s, c);
             // The nine cells' residuals hang together: they count as the middle one's views.
             let cells = 9.0f32;
-            let ratio = (above / cells + PRIOR_FREEDOM * typical) / (below / cells + PRIOR_FREEDOM);
+            let ratio =
+                (above / cells + PRIOR_FREEDOM * typical) / (below / cells + PRIOR_FREEDOM);
             let energy = if s.info[c] > 0.0 { s.energy[c] / (s.info[c] * s.info[c]) } else { 0.0 };
             (promised * ratio + energy * rho[c] * rho[c]).sqrt()
         });
