@@ -92,7 +92,6 @@ impl<'a> Illumination<'a> {
         )
     }
 
-<<<<<<< HEAD
     /// The same with coarse half-shadows that are right in the mean over many points: for the mean over a pixel.
     pub fn glimpsed(&self, point: Vec3, normal: Vec3) -> f64 {
         let local = self.camera_from_world.transform_point3(point.as_dvec3());
@@ -108,7 +107,8 @@ impl<'a> Illumination<'a> {
             facing,
             self.offset,
         )
-=======
+    }
+
     /// Ring irradiance per unit radiance at a point with unit normal (world frame) with nothing in the way.
     pub fn clear(&self, point: Vec3, normal: Vec3) -> f64 {
         let local = self.camera_from_world.transform_point3(point.as_dvec3());
@@ -124,7 +124,6 @@ impl<'a> Illumination<'a> {
         }
         let clear = self.lamp.ring.irradiance(local, facing);
         if clear > 0.0 { self.direct(point, normal) / clear } else { 0.0 }
->>>>>>> main
     }
 
     /// Whether the camera sees a point with unit normal (world frame), and whether beside an occlusion edge.
