@@ -3,7 +3,7 @@
 //!
 //!     cargo bench --profile dev --bench light
 //!
-//! UNLIT_LIGHT_STRIDE (default 3) sets how many pixels apart the path trace is asked.
+//! UNLIT_LIGHT_STRIDE (default 3) sets how many pixels apart the path trace is asked, UNLIT_LIGHT_SCENE one scene alone.
 
 #![allow(
     clippy::unwrap_used,

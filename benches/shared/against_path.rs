@@ -27,6 +27,9 @@ pub(crate) struct Scene {
     pub(crate) cameras: Vec<Camera>,
 }
 
+/// Name, reflectance by element, reflectance by mesh as the path tracer wants it.
+pub(crate) type Painted = (&'static str, Vec<[f32; 3]>, Vec<Rgb>);
+
 /// A surface point that a camera sees, and the light there.
 pub(crate) struct Point {
     pub(crate) element: usize,
@@ -71,8 +74,8 @@ impl Scene {
         Lamp { ring, radiance: [1.0; 3], field: FieldFactor { coefficients: [0.0; 3] } }
     }
 
-    /// White and coloured: name, reflectance by element, reflectance by mesh as the path tracer wants it.
-    pub(crate) fn materials(&self, stage: &Stage) -> Vec<(&'static str, Vec<[f32; 3]>, Vec<Rgb>)> {
+    /// White, and coloured by the truth.
+    pub(crate) fn materials(&self, stage: &Stage) -> Vec<Painted> {
         let plain = |value: f32| Rgb::filled(1, 1, [value; 3]);
         let white = vec![[WHITE; 3]; stage.elements.len()];
         let (mut sum, mut count) = (white.clone(), vec![0.0f32; stage.elements.len()]);
