@@ -101,6 +101,19 @@ impl Elements {
         0.5 * (b - a).cross(c - a).length()
     }
 
+    /// Barycentric weights of the second and third corner of a point that lies on the element.
+    pub fn place(&self, element: usize, point: Vec3) -> [f32; 2] {
+        let [a, b, c] = *self.kernel.corners(element as u32);
+        let (p, q, r) = (b - a, c - a, point - a);
+        let (pp, pq, qq, rp, rq) = (p.dot(p), p.dot(q), q.dot(q), r.dot(p), r.dot(q));
+        let area = pp * qq - pq * pq;
+        if area > 0.0 {
+            [(rp * qq - rq * pq) / area, (rq * pp - rp * pq) / area].map(|w| w.clamp(0.0, 1.0))
+        } else {
+            [1.0 / 3.0; 2]
+        }
+    }
+
     /// Index of the mesh that the element belongs to.
     pub fn mesh_of(&self, element: usize) -> usize {
         self.mesh_of[element] as usize

@@ -4,7 +4,7 @@
 //! and Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1), 2013, because a ray that slips through an
 //! edge is light that was never there.
 
-use glam::{Vec3, Vec3A};
+use glam::{Vec3, Vec3A, Vec3Swizzles};
 use obvhs::BvhBuildParams;
 use obvhs::cwbvh::{CwBvh, builder::build_cwbvh_from_tris};
 use obvhs::ray::{Ray, RayHit};
@@ -42,7 +42,7 @@ impl RayKernel {
             })
             .collect();
         let tree = (!primitives.is_empty()).then(|| {
-            build_cwbvh_from_tris(&primitives, BvhBuildParams::medium_build(), &mut Duration::default())
+            build_cwbvh_from_tris(&primitives, BvhBuildParams::slow_build(), &mut Duration::default())
         });
         Self { corners: triangles, tree }
     }
@@ -87,7 +87,7 @@ impl RayKernel {
 
 /// The ray's own coordinates: its dominant axis last, sheared so that the ray runs along it.
 struct Shear {
-    axes: [usize; 3],
+    dominant: usize,
     shear: [f32; 3],
 }
 
@@ -96,23 +96,18 @@ impl Shear {
         if !direction.is_finite() || direction == Vec3::ZERO {
             return None;
         }
-        let z = direction.abs().max_position();
-        let (mut x, mut y) = ((z + 1) % 3, (z + 2) % 3);
-        if direction[z] < 0.0 {
-            std::mem::swap(&mut x, &mut y);
-        }
-        let shear = [direction[x] / direction[z], direction[y] / direction[z], 1.0 / direction[z]];
-        Some(Self { axes: [x, y, z], shear })
+        let dominant = direction.abs().max_position();
+        let d = turned(direction, dominant);
+        Some(Self { dominant, shear: [d.x / d.z, d.y / d.z, 1.0 / d.z] })
     }
 
     fn intersect(&self, origin: Vec3A, triangle: &[Vec3; 3]) -> Option<(f32, f32, f32)> {
-        let [ax, ay, az] = self.axes;
         let [sx, sy, sz] = self.shear;
         let origin = Vec3::from(origin);
-        let [a, b, c] = triangle.map(|corner| corner - origin);
-        let (ka, kb, kc) = (a[az], b[az], c[az]);
-        let flat = |p: Vec3, k: f32| (p[ax] - sx * k, p[ay] - sy * k);
-        let ((x0, y0), (x1, y1), (x2, y2)) = (flat(a, ka), flat(b, kb), flat(c, kc));
+        let [a, b, c] = triangle.map(|corner| turned(corner - origin, self.dominant));
+        let (ka, kb, kc) = (a.z, b.z, c.z);
+        let flat = |p: Vec3| (p.x - sx * p.z, p.y - sy * p.z);
+        let ((x0, y0), (x1, y1), (x2, y2)) = (flat(a), flat(b), flat(c));
         let mut u = x2 * y1 - y2 * x1;
         let mut v = x0 * y2 - y0 * x2;
         let mut w = x1 * y0 - y1 * x0;
@@ -134,6 +129,16 @@ impl Shear {
         }
         let t = (u * ka + v * kb + w * kc) * sz / determinant;
         Some((t, v / determinant, w / determinant))
+    }
+}
+
+/// The axes in cyclic order with `last` last. A ray towards its negative end sees triangles mirrored, which is one
+/// to a test that takes both sides.
+fn turned(p: Vec3, last: usize) -> Vec3 {
+    match last {
+        0 => p.yzx(),
+        1 => p.zxy(),
+        _ => p,
     }
 }
 

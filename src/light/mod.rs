@@ -1,12 +1,16 @@
-//! Light: the ray kernel, the ring lamp, direct light, and the transport of bounces.
+//! Light: the ray kernel, lamps, direct light, its mean over a camera's pixels, and the transport of bounces.
 
 mod elements;
+mod emitter;
+mod film;
 mod kernel;
 mod ring;
 mod sight;
 mod transport;
 
 pub use elements::{Elements, interpolate};
+pub use emitter::{Emitter, EmitterError, Shape};
+pub use film::{Finish, Spot, expose};
 pub use kernel::{Hit, RayKernel};
 pub use ring::{Ring, RingError};
 pub use sight::Sight;

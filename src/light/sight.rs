@@ -13,7 +13,7 @@
 
 use super::RayKernel;
 use crate::raster::Image;
-use crate::scene::Camera;
+use crate::scene::{Camera, Distortion};
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -51,6 +51,10 @@ pub struct Sight {
     dilated: Image<f32>,
     edge: Image<bool>,
     steepest: f64,
+    /// What each point of the map met: triangle and depth in metres.
+    met: Image<Option<(u32, f32)>>,
+    /// Map point of the camera's first pixel, where the map's points are the camera's pixels.
+    first_pixel: Option<(usize, usize)>,
 }
 
 impl Sight {
@@ -59,30 +63,48 @@ impl Sight {
     pub fn look(kernel: &RayKernel, normals: &[Vec3], camera: &Camera, reach: f64) -> Self {
         let map = Map::of(camera, reach);
         let origin = camera.centre().as_vec3();
-        let hits: Vec<Option<(DVec3, Vec3)>> = (0..map.width * map.height)
+        let local = |i: usize| {
+            let at = DVec2::new((i % map.width) as f64, (i / map.width) as f64) + 0.5;
+            ((at - map.axis) / map.focal).extend(1.0)
+        };
+        let met: Vec<Option<(u32, f32)>> = (0..map.width * map.height)
             .into_par_iter()
             .map(|i| {
-                let at = DVec2::new((i % map.width) as f64, (i / map.width) as f64) + 0.5;
-                let local = ((at - map.axis) / map.focal).extend(1.0);
-                let ray = camera.world_from_camera.transform_vector3(local).as_vec3();
+                let ray = camera.world_from_camera.transform_vector3(local(i)).as_vec3();
                 let hit = kernel.nearest(origin, ray, 0.0, f32::INFINITY)?;
-                Some((local * f64::from(hit.t), normals[hit.triangle as usize]))
+                Some((hit.triangle, hit.t))
             })
             .collect();
         let inverse = Image::from_fn(map.width, map.height, |x, y| {
-            hits[y * map.width + x].map_or(0.0, |(p, _)| (1.0 / p.z) as f32)
+            met[y * map.width + x].map_or(0.0, |(_, depth)| 1.0 / depth)
         });
         let fall = (1.0 / (map.focal * reach)) as f32;
         let to_camera = camera.world_from_camera.matrix3.transpose();
-        let hits: Vec<Option<(DVec3, DVec3)>> =
-            hits.into_par_iter().map(|h| h.map(|(p, n)| (p, to_camera * n.as_dvec3()))).collect();
+        let hits: Vec<Option<(DVec3, DVec3)>> = met
+            .par_iter()
+            .enumerate()
+            .map(|(i, hit)| {
+                let (triangle, depth) = (*hit)?;
+                let normal = normals[triangle as usize].as_dvec3();
+                Some((local(i) * f64::from(depth), to_camera * normal))
+            })
+            .collect();
         Self {
             focal: map.focal,
             axis: map.axis,
             dilated: dilate(inverse, fall),
             edge: edges(&hits, &map),
             steepest: f64::from(STEEPEST * fall),
+            met: Image::from_fn(map.width, map.height, |x, y| met[y * map.width + x]),
+            first_pixel: map.first_pixel,
         }
+    }
+
+    /// What the ray through the centre of pixel (x, y) meets first: triangle and depth along the optical axis in
+    /// metres. The outer `None`: not known here, trace it.
+    pub fn met(&self, x: usize, y: usize) -> Option<Option<(u32, f32)>> {
+        let (left, top) = self.first_pixel?;
+        self.met.get((x + left) as isize, (y + top) as isize).copied()
     }
 
     /// Whether nothing stands between a surface point with unit normal (camera frame, metres) and the lamp's
@@ -114,6 +136,7 @@ struct Map {
     axis: DVec2,
     width: usize,
     height: usize,
+    first_pixel: Option<(usize, usize)>,
 }
 
 impl Map {
@@ -135,8 +158,13 @@ impl Map {
         let size = high - low;
         let most = (MOST_POINTS as f64 / (size.x * size.y)).sqrt();
         let focal = lens.focal.min_element().min(most);
-        let extent = (size * focal).ceil().max(DVec2::ONE);
-        Self { focal, axis: -low * focal, width: extent.x as usize, height: extent.y as usize }
+        let pinhole = lens.distortion == Distortion::default() && lens.focal == DVec2::splat(focal);
+        // A pinhole's own pixels, so that their rays serve twice.
+        let margin = (-low * focal - lens.principal).ceil();
+        let axis = if pinhole { lens.principal + margin } else { -low * focal };
+        let extent = (axis + high * focal).ceil().max(DVec2::ONE);
+        let first_pixel = pinhole.then_some((margin.x as usize, margin.y as usize));
+        Self { focal, axis, width: extent.x as usize, height: extent.y as usize, first_pixel }
     }
 }
 
@@ -201,7 +229,7 @@ fn edges(hits: &[Option<(DVec3, DVec3)>], map: &Map) -> Image<bool> {
 mod tests {
     use super::*;
     use crate::light::Ring;
-    use crate::scene::{Distortion, Intrinsics};
+    use crate::scene::Intrinsics;
     use glam::DAffine3;
 
     fn camera() -> Camera {

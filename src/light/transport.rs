@@ -43,6 +43,34 @@ impl Transport {
         Ok(Self { rays, met })
     }
 
+    /// Bounces until they add up: `irradiance` (laid out as in [`Transport::gather`]) is taken as a first guess and
+    /// ends as the sum of the series E = T (rho (D + E)). `emit` gives the exitance rho (D + E) of the irradiance E
+    /// so far. It ends when a bounce changes the sum over all elements by less than `tolerance` of it, or after
+    /// `most` bounces, and gives that change after every bounce.
+    pub fn settle(
+        &self,
+        width: usize,
+        irradiance: &mut [f32],
+        (tolerance, most): (f64, usize),
+        emit: impl Fn(&[f32], &mut [f32]),
+        progress: &Progress,
+    ) -> Result<Vec<f64>, Cancelled> {
+        let (mut exitance, mut changes) = (vec![0.0f32; irradiance.len()], vec![]);
+        let mut before = vec![0.0f32; irradiance.len()];
+        while changes.len() < most {
+            progress.check()?;
+            emit(irradiance, &mut exitance);
+            before.copy_from_slice(irradiance);
+            self.gather(&exitance, width, irradiance);
+            let change = relative_change(&before, irradiance);
+            changes.push(change);
+            if change < tolerance {
+                break;
+            }
+        }
+        Ok(changes)
+    }
+
     /// One bounce: irradiance on every element from `exitance` = rho E of all others; `views` values a colour
     /// channel triple are laid side by side (`exitance[element * width + i]`).
     pub fn gather(&self, exitance: &[f32], width: usize, out: &mut [f32]) {
@@ -60,6 +88,20 @@ impl Transport {
             }
         });
     }
+}
+
+/// Sum of |difference| over sum of what is there now; tile by tile, so that it does not depend on threads.
+fn relative_change(before: &[f32], now: &[f32]) -> f64 {
+    let tiles: Vec<(f64, f64)> = before
+        .par_chunks(1 << 16)
+        .zip(now.par_chunks(1 << 16))
+        .map(|(b, n)| {
+            let pairs = b.iter().zip(n).map(|(b, n)| (f64::from(*b), f64::from(*n)));
+            pairs.fold((0.0, 0.0), |(off, all), (b, n)| (off + (n - b).abs(), all + n.abs()))
+        })
+        .collect();
+    let (off, all) = tiles.iter().fold((0.0, 0.0), |sum, tile| (sum.0 + tile.0, sum.1 + tile.1));
+    if all > 0.0 { off / all } else { 0.0 }
 }
 
 fn gather(elements: &Elements, element: usize, row: &mut [u32]) {
@@ -145,6 +187,30 @@ mod tests {
         let mean = live.iter().sum::<f32>() / live.len() as f32;
         let want = direct * rho / (1.0 - rho);
         assert!((mean / want - 1.0).abs() < 0.01, "{mean} for {want}");
+    }
+
+    #[test]
+    fn the_series_ends_by_its_own_change_and_not_before_it_adds_up() {
+        let elements = furnace();
+        let transport = Transport::trace(&elements, 64, &Progress::silent()).unwrap();
+        let settled = |rho: f32, tolerance: f64| {
+            let mut bounced = vec![0.0f32; elements.len()];
+            let emit = |e: &[f32], out: &mut [f32]| {
+                out.iter_mut().zip(e).for_each(|(o, e)| *o = rho * (2.0 + e));
+            };
+            let progress = Progress::silent();
+            let changes = transport.settle(1, &mut bounced, (tolerance, 200), emit, &progress).unwrap();
+            let live = (0..elements.len()).filter(|&e| elements.area(e) > 1e-6);
+            let (sum, count) = live.fold((0.0, 0.0), |(s, n), e| (s + bounced[e], n + 1.0));
+            (sum / count, changes)
+        };
+        for rho in [0.2, 0.6, 0.9] {
+            let (mean, changes) = settled(rho, 1e-4);
+            let want = 2.0 * rho / (1.0 - rho);
+            assert!((mean / want - 1.0).abs() < 0.01, "{mean} for {want}");
+            assert!(changes.windows(2).all(|w| w[1] < w[0]), "{changes:?}");
+        }
+        assert!(settled(0.2, 1e-4).1.len() < 8 && settled(0.9, 1e-4).1.len() > 40);
     }
 
     #[test]

@@ -90,7 +90,7 @@ pub(super) fn make(
         let known = demosaic(&sites, inputs.calibration.radiance).at_reference(gain);
         let lamp = lamp(pair, &inputs.calibration)?;
         let light = stage.illuminate(camera, &lamp);
-        let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &rho);
+        let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &rho, progress)?;
         let mut maps = view_maps(&light, &known, &stage.elements, &bounced, progress)?;
         if let Some(view) = Projection::look(&around, &light, &bounced, &sites, progress)? {
             let own = own_look(&light, &view, &texels, gain.value, summary.blur);

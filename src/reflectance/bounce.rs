@@ -17,9 +17,9 @@ const MOST_ROUNDS: usize = 6;
 /// The estimate stands still when its mean change per round is below this (of 1).
 const STILL: f64 = 2e-4;
 
-/// Bounces simulated from nothing, and on top of the round before.
-const FIRST_BOUNCES: usize = 6;
-const MORE_BOUNCES: usize = 2;
+/// Bounces are followed until one changes the bounced light by less than this share, and at most so many.
+const SETTLED: f64 = 1e-3;
+const MOST_BOUNCES: usize = 40;
 
 /// Transport loses no energy of its own, so a reflectance at or above one would grow without end.
 const MOST_REFLECTANCE: f32 = 0.97;
@@ -70,15 +70,13 @@ impl Bounces {
             rounds: vec![],
         };
         state.rho = state.solve_elements(elements, &seen);
-        let mut exitance = vec![0.0f32; elements.len() * width];
         for round in 0..MOST_ROUNDS {
-            let bounces = if round == 0 { FIRST_BOUNCES } else { MORE_BOUNCES };
-            for bounce in 0..bounces {
-                progress.check()?;
-                progress.report(&format!("bounces, round {}", round + 1), bounce, bounces);
-                state.emit(views, &mut exitance);
-                transport.gather(&exitance, width, &mut state.irradiance);
-            }
+            progress.report("bounces, round", round, MOST_ROUNDS);
+            // The later rounds go on from the earlier ones' light.
+            let mut irradiance = std::mem::take(&mut state.irradiance);
+            let emit = |bounced: &[f32], exitance: &mut [f32]| state.emit(views, bounced, exitance);
+            transport.settle(width, &mut irradiance, (SETTLED, MOST_BOUNCES), emit, progress)?;
+            state.irradiance = irradiance;
             let next = state.solve_elements(elements, &seen);
             let change = mean_change(elements, &seen, &state.rho, &next);
             state.rho = next;
@@ -99,9 +97,9 @@ impl Bounces {
     }
 
     /// Exitance rho (D + E) of every element for every view.
-    fn emit(&self, views: &[ViewLight], exitance: &mut [f32]) {
+    fn emit(&self, views: &[ViewLight], irradiance: &[f32], exitance: &mut [f32]) {
         let width = 3 * self.views;
-        exitance.par_chunks_mut(width).zip(self.irradiance.par_chunks(width)).enumerate().for_each(
+        exitance.par_chunks_mut(width).zip(irradiance.par_chunks(width)).enumerate().for_each(
             |(e, (out, bounced))| {
                 for (v, view) in views.iter().enumerate() {
                     for c in 0..3 {
@@ -156,18 +154,19 @@ pub fn simulate(
     direct: &[f32],
     radiance: [f64; 3],
     rho: &[[f32; 3]],
-) -> Vec<[f32; 3]> {
-    let (mut irradiance, mut exitance) = (vec![0.0f32; 3 * rho.len()], vec![0.0f32; 3 * rho.len()]);
-    for _ in 0..FIRST_BOUNCES + MORE_BOUNCES {
-        for (e, out) in exitance.chunks_exact_mut(3).enumerate() {
+    progress: &Progress,
+) -> Result<Vec<[f32; 3]>, Cancelled> {
+    let mut irradiance = vec![0.0f32; 3 * rho.len()];
+    let emit = |bounced: &[f32], exitance: &mut [f32]| {
+        exitance.par_chunks_mut(3).zip(bounced.par_chunks(3)).enumerate().for_each(|(e, (out, bounced))| {
             for c in 0..3 {
-                let light = direct[e] * radiance[c] as f32 + irradiance[3 * e + c];
+                let light = direct[e] * radiance[c] as f32 + bounced[c];
                 out[c] = rho[e][c].clamp(0.0, MOST_REFLECTANCE) * light;
             }
-        }
-        transport.gather(&exitance, 3, &mut irradiance);
-    }
-    irradiance.chunks_exact(3).map(|e| [e[0], e[1], e[2]]).collect()
+        });
+    };
+    transport.settle(3, &mut irradiance, (SETTLED, MOST_BOUNCES), emit, progress)?;
+    Ok(irradiance.chunks_exact(3).map(|e| [e[0], e[1], e[2]]).collect())
 }
 
 /// The observation with bounced irradiance (DN) added to what white would have read.

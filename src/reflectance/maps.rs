@@ -11,16 +11,12 @@
 
 use super::observe::Illumination;
 use super::project::Projection;
-use crate::light::{Elements, interpolate};
+use crate::light::{Elements, Finish, Spot, expose, interpolate};
 use crate::photometry::Known;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
 use glam::DVec2;
-use rayon::prelude::*;
 use std::f64::consts::PI;
-
-/// Samples per pixel edge.
-const GRID: usize = 2;
 
 /// Least cosine towards the camera: beyond it (84 degrees), and from behind, nothing is told.
 const GRAZING: f32 = 0.1;
@@ -53,14 +49,19 @@ pub fn view_maps(
     let lens = &light.camera().intrinsics;
     let (width, height) = (lens.width, lens.height);
     let corners = elements.smooth(bounced);
-    let rows: Vec<Vec<Option<[f32; 3]>>> = (0..height)
-        .into_par_iter()
-        .map(|y| {
-            progress.check()?;
-            Ok((0..width).map(|x| white(light, elements, &corners, x, y)).collect())
+    let (camera, lamp) = (light.camera(), light.lamp());
+    let shade = |spot: &Spot| {
+        (spot.facing > GRAZING).then(|| {
+            let unit = light.glimpsed(spot.point, spot.normal);
+            let bounce = interpolate(&corners[spot.element], spot.at);
+            std::array::from_fn(|c| (lamp.radiance[c] * unit) as f32 + bounce[c])
         })
-        .collect::<Result<_, Cancelled>>()?;
-    let white = Image::from_fn(width, height, |x, y| rows[y][x]);
+    };
+    let irradiance = expose(camera, elements, light.sight(), Finish::Fast, shade, progress)?;
+    let white = Image::from_fn(width, height, |x, y| {
+        let response = lamp.field.at(lens, DVec2::new(x as f64, y as f64) + 0.5) / PI;
+        irradiance.at(x, y).map(|e| e.map(|e| (f64::from(e) * response) as f32))
+    });
     let reflectance = Image::from_fn(width, height, |x, y| {
         let m = (*white.at(x, y))?;
         if !known.valid.at(x, y) {
@@ -127,35 +128,4 @@ fn left_over(view: &Projection, predicted: &Rgb, g: f32, x: usize, y: usize) -> 
     std::array::from_fn(|c| {
         (weight[c] > 0.0).then(|| (sum[c] / weight[c], variance[c] / (weight[c] * weight[c])))
     })
-}
-
-/// Mean over the pixel of what white would have read; `None` unless every sample meets a mesh.
-fn white(
-    light: &Illumination,
-    elements: &Elements,
-    bounced: &[[[f32; 3]; 3]],
-    x: usize,
-    y: usize,
-) -> Option<[f32; 3]> {
-    let (camera, lamp) = (light.camera(), light.lamp());
-    let origin = camera.centre().as_vec3();
-    let mut sum = [0.0f64; 3];
-    for k in 0..GRID * GRID {
-        let inside = (DVec2::new((k % GRID) as f64, (k / GRID) as f64) + 0.5) / GRID as f64;
-        let ray = camera.ray(DVec2::new(x as f64, y as f64) + inside).as_vec3();
-        let hit = elements.kernel().nearest(origin, ray, 0.0, f32::INFINITY)?;
-        let element = hit.triangle as usize;
-        let normal = elements.normal(element);
-        if normal.dot(ray) >= -GRAZING * ray.length() {
-            return None;
-        }
-        let unit = light.direct(origin + ray * hit.t, normal);
-        let bounce = interpolate(&bounced[element], [hit.u, hit.v]);
-        for c in 0..3 {
-            sum[c] += lamp.radiance[c] * unit + f64::from(bounce[c]);
-        }
-    }
-    let pixel = DVec2::new(x as f64, y as f64) + 0.5;
-    let response = lamp.field.at(&camera.intrinsics, pixel) / PI / (GRID * GRID) as f64;
-    Some(sum.map(|s| (s * response) as f32))
 }

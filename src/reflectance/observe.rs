@@ -70,6 +70,11 @@ impl<'a> Illumination<'a> {
         self.lamp
     }
 
+    /// What the camera sees freely.
+    pub fn sight(&self) -> &Sight {
+        &self.sight
+    }
+
     /// Ring irradiance per unit radiance at a point with unit normal (world frame), shadows included.
     pub fn direct(&self, point: Vec3, normal: Vec3) -> f64 {
         let local = self.camera_from_world.transform_point3(point.as_dvec3());
@@ -79,6 +84,23 @@ impl<'a> Illumination<'a> {
         }
         let world_from_camera = &self.camera.world_from_camera;
         self.lamp.ring.shadowed_irradiance(
+            self.elements.kernel(),
+            world_from_camera,
+            local,
+            facing,
+            self.offset,
+        )
+    }
+
+    /// The same with coarse half-shadows that are right in the mean over many points: for the mean over a pixel.
+    pub fn glimpsed(&self, point: Vec3, normal: Vec3) -> f64 {
+        let local = self.camera_from_world.transform_point3(point.as_dvec3());
+        let facing = self.camera_from_world.transform_vector3(normal.as_dvec3());
+        if self.sight.is_free(local, facing) {
+            return self.lamp.ring.irradiance(local, facing);
+        }
+        let world_from_camera = &self.camera.world_from_camera;
+        self.lamp.ring.glimpsed_irradiance(
             self.elements.kernel(),
             world_from_camera,
             local,

@@ -24,6 +24,7 @@ mod flash_wire;
 mod floors;
 mod gphoto_cli;
 mod hardware;
+mod irradiance;
 mod main_job;
 mod pairs;
 mod processes;

@@ -13,6 +13,7 @@ mod bowl;
 mod cache;
 mod card;
 mod glaze;
+pub mod irradiance;
 mod known;
 mod patch;
 mod path;

@@ -81,6 +81,16 @@ impl Seen {
     }
 }
 
+/// A point where a ray ends.
+pub(super) struct Met {
+    /// Just off the surface, metres.
+    pub(super) point: Vec3,
+    /// Unit normal on the ray's side.
+    pub(super) normal: Vec3,
+    /// Index of the surface.
+    pub(super) surface: usize,
+}
+
 struct Facet {
     normal: Vec3,
     uvs: [Vec2; 3],
@@ -120,6 +130,16 @@ impl Tracer {
         self.kernel
             .nearest(origin, direction, 0.0, f32::INFINITY)
             .is_some_and(|hit| self.facets[hit.triangle as usize].surface == 0)
+    }
+
+    /// The first thing along a ray.
+    pub(super) fn meets(&self, origin: Vec3, direction: Vec3) -> Option<Met> {
+        let hit = self.kernel.nearest(origin, direction, 0.0, f32::INFINITY)?;
+        let facet = &self.facets[hit.triangle as usize];
+        let [a, b, c] = self.kernel.corners(hit.triangle);
+        let normal = if facet.normal.dot(direction) > 0.0 { -facet.normal } else { facet.normal };
+        let point = *a * (1.0 - hit.u - hit.v) + *b * hit.u + *c * hit.v + normal * 2e-6;
+        Some(Met { point, normal, surface: facet.surface })
     }
 
     /// Follows one path from the camera. `ring` comes with the camera's pose; without `room`, the room's light
@@ -191,7 +211,14 @@ impl Tracer {
     }
 
     /// One estimate of the irradiance at a point from a ring of unit radiance.
-    fn light_of_ring(&self, point: Vec3, normal: Vec3, ring: &Ring, pose: &DAffine3, u: Vec2) -> f32 {
+    pub(super) fn light_of_ring(
+        &self,
+        point: Vec3,
+        normal: Vec3,
+        ring: &Ring,
+        pose: &DAffine3,
+        u: Vec2,
+    ) -> f32 {
         let (inner, outer) = (ring.inner * ring.inner, ring.outer * ring.outer);
         let radius = (inner + u.x * (outer - inner)).sqrt();
         let (sin, cos) = (TAU * u.y).sin_cos();
@@ -245,7 +272,7 @@ fn accumulate(sum: &mut [f32; 3], throughput: &[f32; 3], light: &[f32; 3], facto
 }
 
 /// A direction with density cosine over pi about a normal.
-fn cosine_direction(normal: Vec3, u: Vec2) -> Vec3 {
+pub(super) fn cosine_direction(normal: Vec3, u: Vec2) -> Vec3 {
     let (side, other) = normal.any_orthonormal_pair();
     let (sin, cos) = (TAU * u.y).sin_cos();
     let radius = u.x.sqrt();
