@@ -19,18 +19,33 @@ pub fn gaussian<const N: usize>(image: &Image<[f32; N]>, sigma: f32) -> Image<[f
     let sum: f32 = kernel.iter().sum();
     kernel.iter_mut().for_each(|k| *k /= sum);
     let (width, height) = (image.width(), image.height());
-    let convolve = |get: &dyn Fn(usize) -> [f32; N], at: usize, n: usize| {
-        let mut out = [0.0; N];
-        for (i, k) in kernel.iter().enumerate() {
-            let value = get(mirrored(at as isize + i as isize - radius as isize, n));
-            for (o, v) in out.iter_mut().zip(value) {
-                *o += k * v;
-            }
+    // Along a row every tap is one shift of a row that is continued past its ends; across rows, one row.
+    let mut rows = image.clone();
+    let mut wide = vec![[0.0; N]; width + 2 * radius];
+    for row in rows.pixels_mut().chunks_exact_mut(width) {
+        for (i, w) in wide.iter_mut().enumerate() {
+            *w = row[mirrored(i as isize - radius as isize, width)];
         }
-        out
-    };
-    let rows = Image::from_fn(width, height, |x, y| convolve(&|i| *image.at(i, y), x, width));
-    Image::from_fn(width, height, |x, y| convolve(&|i| *rows.at(x, i), y, height))
+        let row = row.as_flattened_mut();
+        row.fill(0.0);
+        for (i, k) in kernel.iter().enumerate() {
+            add_times(row, &wide.as_flattened()[i * N..], *k);
+        }
+    }
+    let mut out = Image::filled(width, height, [0.0; N]);
+    for (y, row) in out.pixels_mut().chunks_exact_mut(width).enumerate() {
+        for (i, k) in kernel.iter().enumerate() {
+            let from = mirrored(y as isize + i as isize - radius as isize, height) * width;
+            add_times(row.as_flattened_mut(), rows.pixels()[from..from + width].as_flattened(), *k);
+        }
+    }
+    out
+}
+
+fn add_times(sum: &mut [f32], values: &[f32], factor: f32) {
+    for (s, v) in sum.iter_mut().zip(values) {
+        *s += factor * v;
+    }
 }
 
 /// Index reflected about the edges of the first and last pixel until it lies in `0..n`.

@@ -13,6 +13,7 @@
 
 pub mod atlas;
 pub mod bounce;
+pub mod joint;
 pub mod maps;
 pub mod observe;
 pub mod orientation;
@@ -20,3 +21,7 @@ pub mod range;
 pub mod solve;
 pub mod texture;
 pub mod unwrap;
+pub mod project;
+pub mod solve;
+pub mod texture;
+mod uncertainty;
