@@ -97,6 +97,8 @@ pub(super) fn keep(session: &Session, mesh: &Mesh, source: &UvSource) -> Result<
             _ => Ok(()),
         };
     }
+    let folder = session.derived_dir();
+    std::fs::create_dir_all(&folder).map_err(io(&folder))?;
     let mut bytes = MAGIC.to_vec();
     bytes.extend(digest(mesh).as_bytes());
     bytes.extend((mesh.uvs.len() as u64).to_le_bytes());
