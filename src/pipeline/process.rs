@@ -357,7 +357,9 @@ fn solve_and_write(
     size: usize,
     progress: &Progress,
 ) -> Result<ProcessSummary, ProcessError> {
+    let tock = std::time::Instant::now();
     let (stage, turned) = stage(&mut scene);
+    eprintln!("staged {:?}", tock.elapsed());
     let mut solver = Solver::new(&scene.meshes, &stage, size)?;
     let count = inputs.matched.len();
     for (i, (pair, camera)) in inputs.matched.iter().enumerate() {
@@ -370,6 +372,7 @@ fn solve_and_write(
         }
         solver.add(camera, &known, &lamp(pair, &inputs.calibration)?, progress)?;
     }
+    eprintln!("added {:?}", tock.elapsed());
     let tick = std::time::Instant::now();
     let mut settled = solver.settle(progress)?;
     eprintln!("settle {:?}", tick.elapsed());
@@ -390,6 +393,7 @@ fn solve_and_write(
     }
     write(session, &scene, inputs, &texture, &summary)?;
     super::views::keep_elements(session, &texture.bounces.rho)?;
+    eprintln!("written {:?}", tock.elapsed());
     Ok(summary)
 }
 

@@ -17,12 +17,12 @@
 //! being the row sums of A'WA, which bound its eigenvalues because A has no negative entry; g and the trusts between
 //! the runs. The prior's precision also keeps texels that hardly any site speaks of near the elements' estimate.
 
-use super::project::Projection;
+use super::project::{Projection, WIDEST_BLUR};
 use super::solve::tukey;
 use super::uncertainty::{self, Cell};
 use crate::photometry::FlashGain;
 use crate::progress::{Cancelled, Progress};
-use crate::raster::blur::gaussian;
+use crate::raster::blur::{gaussian, gaussian_each};
 use crate::raster::{Image, Rgb};
 use rayon::prelude::*;
 
@@ -41,9 +41,12 @@ const OTHER_ERROR: f32 = 0.3;
 /// Largest share of unknown light in a site that still counts.
 const MOST_UNKNOWN: f32 = 0.004;
 
-/// Runs of conjugate gradients, and steps in each.
-const RUNS: usize = 3;
-const STEPS: usize = 5;
+/// Runs of conjugate gradients: steps in each, and whether the lens's blur is found along.
+const RUNS: [(usize, bool); 5] = [(5, false), (5, false), (8, true), (6, true), (6, true)];
+
+/// Standard deviation of the lens's blur before anything is known, pixels, and its bounds.
+const FIRST_BLUR: f32 = 0.8;
+const BLUR_BOUNDS: (f32, f32) = (0.3, WIDEST_BLUR);
 
 /// Reflectance by texel, row-major, all of the texture's square.
 pub(super) type Texels = Vec<[f32; 3]>;
@@ -54,8 +57,8 @@ pub struct Joint {
     pub texels: Texels,
     /// Energy of each view's pulse.
     pub gains: Vec<FlashGain>,
-    /// Standard deviation of the lens's blur, pixels.
-    pub blur: f32,
+    /// Standard deviation of the lens's blur by channel, pixels.
+    pub blur: [f32; 3],
     /// What each run did.
     pub runs: Vec<Run>,
     /// What is known of each cell of texels.
@@ -69,6 +72,8 @@ pub struct Run {
     pub misfit: f64,
     /// Root mean square change of the texels' reflectance by it.
     pub change: f64,
+    /// Standard deviation of the lens's blur after it, by channel, pixels.
+    pub blur: [f32; 3],
 }
 
 /// What is needed of every view beside the projection.
@@ -89,26 +94,38 @@ pub fn solve_jointly(
     photos: &[Photo],
     start: Texels,
     size: usize,
-    blur: f32,
     shot_noise: f32,
     progress: &Progress,
 ) -> Result<Joint, Cancelled> {
     let mut gains: Vec<FlashGain> = photos.iter().map(|p| p.gain).collect();
     let mut texels = start.clone();
-    let mut runs = vec![];
-    for run in 0..RUNS {
+    let mut blur = [std::env::var("BLUR").ok().and_then(|b| b.parse().ok()).unwrap_or(FIRST_BLUR); 3];
+    let (mut runs, mut done) = (vec![], 0);
+    for (steps, lens) in RUNS {
         let state = State { photos, gains: &gains, blur, shot_noise };
         let weights = state.weights(&texels, progress)?;
         let before = texels.clone();
-        let misfit = state.descend(&weights, &start, &mut texels, run, progress)?;
+        let mut system = System::new(&state, &weights, &start, &texels, lens, progress)?;
+        let misfit = system.misfit;
+        for step in 0..steps {
+            progress.report("solving texels", done + step, RUNS.iter().map(|r| r.0).sum());
+            system.step(&mut texels, progress)?;
+        }
+        done += steps;
+        let wider = system.blur;
         gains = state.energies(&weights, &mut texels);
+        for c in 0..3 {
+            let (least, most) = BLUR_BOUNDS;
+            blur[c] = (blur[c] * blur[c] + wider[c] as f32).max(least * least).sqrt().min(most);
+        }
         let n = texels.len().max(1) as f64;
         let moved: f64 = texels
             .iter()
             .zip(&before)
             .map(|(a, b)| (0..3).map(|c| f64::from(a[c] - b[c]).powi(2)).sum::<f64>() / 3.0)
             .sum();
-        runs.push(Run { misfit, change: (moved / n).sqrt() });
+        runs.push(Run { misfit, change: (moved / n).sqrt(), blur });
+        eprintln!("{:?}", runs.last());
     }
     progress.report("telling the error", 0, 1);
     let state = State { photos, gains: &gains, blur, shot_noise };
@@ -120,7 +137,7 @@ pub fn solve_jointly(
 pub(super) struct State<'a> {
     pub(super) photos: &'a [Photo],
     pub(super) gains: &'a [FlashGain],
-    pub(super) blur: f32,
+    pub(super) blur: [f32; 3],
     pub(super) shot_noise: f32,
 }
 
@@ -162,7 +179,7 @@ impl State<'_> {
         let g = self.gains[v].value as f32;
         let predicted = view.predict(texels, true, self.blur);
         let others = view.others(self.blur);
-        let unknown = gaussian(&view.unknown, self.blur);
+        let unknown = gaussian(&view.unknown, self.blur.into_iter().fold(0.0, f32::max));
         let (width, height) = (view.window.width, view.window.height);
         let white = view.white(self.blur);
         let mut sites = vec![0.0f32; width * height];
@@ -202,48 +219,88 @@ impl State<'_> {
         Weights { sites }
     }
 
-    /// Residuals of a view weighted and brought to where [`Projection::carry_back`] takes them, for light `lit`
-    /// (through the lens, pulse of energy 1) against the sites; without `known`, minus the light alone.
-    fn weighted(&self, v: usize, weights: &Weights, lit: &Rgb, known: bool) -> (Rgb, f64, usize) {
+    /// What the light `lit` (through the lens, pulse of energy 1) leaves of the sites, or with `known` false minus that
+    /// light alone, weighted and brought to where [`Projection::carry_back`] takes it.
+    fn weighted(&self, v: usize, weights: &Weights, lit: &Rgb, known: bool, lens: Option<&Rgb>) -> Part {
         let view = &self.photos[v].projection;
         let g = self.gains[v].value as f32;
-        let mut out = view.blank();
-        let (mut misfit, mut count) = (0.0, 0);
+        let mut image = view.blank();
+        let mut part = Part::default();
         for (i, (site, w)) in view.sites.pixels().iter().zip(&weights.sites).enumerate() {
             if *w > 0.0 {
                 let c = usize::from(site.colour);
                 let residual = if known { site.known } else { 0.0 } - g * lit.pixels()[i][c];
-                out.pixels_mut()[i][c] = g * w * residual;
-                misfit += f64::from(w * residual * residual);
-                count += 1;
+                image.pixels_mut()[i][c] = g * w * residual;
+                part.misfit += f64::from(w * residual * residual);
+                part.count += 1;
+                if let Some(lens) = lens {
+                    let slope = g * lens.pixels()[i][c];
+                    part.lens[c] += f64::from(slope * w * residual);
+                    part.lens_square[c] += f64::from(slope * slope * w);
+                }
             }
         }
-        (gaussian(&out, self.blur), misfit, count)
+        part.image = Some(gaussian_each(&image, self.blur));
+        part
     }
 
-    /// A' W (P - A rho) (`known`) or -A' W A rho, summed over the views; and the misfit.
+    /// A' W (P - A rho) (`known`) or -A' W A rho, summed over the views; `wider` adds as much of the lens's slopes.
     fn gradient(
         &self,
         weights: &[Weights],
         texels: &[[f32; 3]],
         known: bool,
+        lens: Option<(&[Rgb], [f64; 3])>,
         progress: &Progress,
-    ) -> Result<(Texels, f64), Cancelled> {
+    ) -> Result<(Texels, Part), Cancelled> {
         let mut sum = vec![[0.0; 3]; texels.len()];
-        let (mut misfit, mut count) = (0.0, 0);
+        let mut all = Part::default();
         self.each_view(
             |v, photo| {
                 progress.check()?;
-                let lit = photo.projection.predict(texels, known, self.blur);
-                Ok(self.weighted(v, &weights[v], &lit, known))
+                let mut lit = photo.projection.predict(texels, known, self.blur);
+                let slopes = lens.map(|(slopes, wider)| {
+                    for (l, s) in lit.pixels_mut().iter_mut().zip(slopes[v].pixels()) {
+                        (0..3).for_each(|c| l[c] += wider[c] as f32 * s[c]);
+                    }
+                    &slopes[v]
+                });
+                Ok(self.weighted(v, &weights[v], &lit, known, slopes))
             },
-            |v, (image, m, n)| {
-                misfit += m;
-                count += n;
-                self.photos[v].projection.carry_back(&image, &mut sum);
+            |v, mut part| {
+                all.misfit += part.misfit;
+                all.count += part.count;
+                for c in 0..3 {
+                    all.lens[c] += part.lens[c];
+                    all.lens_square[c] += part.lens_square[c];
+                }
+                if let Some(image) = part.image.take() {
+                    self.photos[v].projection.carry_back(&image, &mut sum);
+                }
             },
         )?;
-        Ok((sum, misfit / count.max(1) as f64))
+        Ok((sum, all))
+    }
+
+    /// How each view's reading changes with the blur's variance: by the heat equation, half its Laplacian.
+    fn lens_slopes(&self, texels: &[[f32; 3]], progress: &Progress) -> Result<Vec<Rgb>, Cancelled> {
+        let mut all = vec![];
+        self.each_view(
+            |_, photo| {
+                progress.check()?;
+                let lit = photo.projection.predict(texels, true, self.blur);
+                Ok(Image::from_fn(lit.width(), lit.height(), |x, y| {
+                    let own = *lit.at(x, y);
+                    let near = |dx: isize, dy: isize| {
+                        *lit.get(x as isize + dx, y as isize + dy).unwrap_or(&own)
+                    };
+                    let (l, r, u, d) = (near(-1, 0), near(1, 0), near(0, -1), near(0, 1));
+                    std::array::from_fn(|c| 0.5 * (l[c] + r[c] + u[c] + d[c] - 4.0 * own[c]))
+                }))
+            },
+            |_, slopes| all.push(slopes),
+        )?;
+        Ok(all)
     }
 
     /// Row sums of A' W A.
@@ -252,66 +309,17 @@ impl State<'_> {
         self.each_view(
             |v, photo| {
                 progress.check()?;
-                let (image, _, _) = self.weighted(v, &weights[v], &photo.projection.white(self.blur), false);
-                Ok(image.map(|p| p.map(|x| -x)))
+                let white = photo.projection.white(self.blur);
+                Ok(self.weighted(v, &weights[v], &white, false, None).image)
             },
-            |v, image| self.photos[v].projection.carry_back(&image, &mut sum),
+            |v, image| {
+                if let Some(image) = image {
+                    self.photos[v].projection.carry_back(&image, &mut sum);
+                }
+            },
         )?;
+        sum.iter_mut().flatten().for_each(|s| *s = -*s);
         Ok(sum)
-    }
-
-    /// Steps of conjugate gradients; gives the misfit before them.
-    fn descend(
-        &self,
-        weights: &[Weights],
-        start: &[[f32; 3]],
-        texels: &mut Texels,
-        run: usize,
-        progress: &Progress,
-    ) -> Result<f64, Cancelled> {
-        let precision = PRIOR.powi(-2);
-        let sums = self.sums(weights, texels.len(), progress)?;
-        let (mut residual, misfit) = self.gradient(weights, texels, true, progress)?;
-        for ((r, x), s) in residual.iter_mut().zip(texels.iter()).zip(start) {
-            (0..3).for_each(|c| r[c] += precision * (s[c] - x[c]));
-        }
-        let conditioned = |r: &Texels| -> Texels {
-            r.par_iter()
-                .zip(&sums)
-                .map(|(r, m)| std::array::from_fn(|c| r[c] / (m[c] + precision)))
-                .collect()
-        };
-        let mut z = conditioned(&residual);
-        let mut direction = z.clone();
-        let mut strength = dot(&residual, &z);
-        for step in 0..STEPS {
-            progress.check()?;
-            progress.report("solving texels", run * STEPS + step, RUNS * STEPS);
-            let (mut moved, _) = self.gradient(weights, &direction, false, progress)?;
-            for (m, d) in moved.iter_mut().zip(&direction) {
-                (0..3).for_each(|c| m[c] = precision * d[c] - m[c]);
-            }
-            let curvature = dot(&direction, &moved);
-            let length: [f64; 3] = std::array::from_fn(|c| {
-                if curvature[c] > 0.0 { strength[c] / curvature[c] } else { 0.0 }
-            });
-            for ((x, d), (r, m)) in texels.iter_mut().zip(&direction).zip(residual.iter_mut().zip(&moved)) {
-                for c in 0..3 {
-                    x[c] += length[c] as f32 * d[c];
-                    r[c] -= length[c] as f32 * m[c];
-                }
-            }
-            z = conditioned(&residual);
-            let next = dot(&residual, &z);
-            for (d, z) in direction.iter_mut().zip(&z) {
-                for c in 0..3 {
-                    let keep = if strength[c] > 0.0 { (next[c] / strength[c]) as f32 } else { 0.0 };
-                    d[c] = z[c] + keep * d[c];
-                }
-            }
-            strength = next;
-        }
-        Ok(misfit)
     }
 
     /// Every pulse's energy from its own photograph and its measurement, the texture being what it is. The mean over
@@ -355,6 +363,123 @@ impl State<'_> {
         gains.iter_mut().for_each(|g| g.value *= common);
         texels.iter_mut().flatten().for_each(|t| *t /= common as f32);
         gains
+    }
+}
+
+/// What one view, or all of them, add to a gradient.
+#[derive(Default)]
+struct Part {
+    image: Option<Rgb>,
+    misfit: f64,
+    count: usize,
+    lens: [f64; 3],
+    lens_square: [f64; 3],
+}
+
+/// Preconditioned conjugate gradients on texels and, if asked, the variance of the lens's blur by channel.
+struct System<'a> {
+    state: &'a State<'a>,
+    weights: &'a [Weights],
+    slopes: Vec<Rgb>,
+    sums: Texels,
+    residual: Texels,
+    direction: Texels,
+    /// The same of the blur's variance, by channel, and what it has come to.
+    lens: Lens,
+    blur: [f64; 3],
+    strength: [f64; 3],
+    misfit: f64,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Lens {
+    sum: [f64; 3],
+    residual: [f64; 3],
+    direction: [f64; 3],
+}
+
+impl<'a> System<'a> {
+    fn new(
+        state: &'a State<'a>,
+        weights: &'a [Weights],
+        start: &[[f32; 3]],
+        texels: &Texels,
+        lens: bool,
+        progress: &Progress,
+    ) -> Result<Self, Cancelled> {
+        let slopes = if lens { state.lens_slopes(texels, progress)? } else { vec![] };
+        let sums = state.sums(weights, texels.len(), progress)?;
+        let with = lens.then_some((slopes.as_slice(), [0.0; 3]));
+        let (mut residual, part) = state.gradient(weights, texels, true, with, progress)?;
+        for ((r, x), s) in residual.iter_mut().zip(texels).zip(start) {
+            (0..3).for_each(|c| r[c] += PRIOR.powi(-2) * (s[c] - x[c]));
+        }
+        let mut system = Self {
+            state,
+            weights,
+            slopes,
+            sums,
+            residual,
+            direction: vec![],
+            lens: Lens { sum: part.lens_square, residual: part.lens, direction: [0.0; 3] },
+            blur: [0.0; 3],
+            strength: [0.0; 3],
+            misfit: part.misfit / part.count.max(1) as f64,
+        };
+        let (z, lens_z) = system.conditioned();
+        system.strength = system.product(&z, &lens_z);
+        (system.direction, system.lens.direction) = (z, lens_z);
+        Ok(system)
+    }
+
+    fn conditioned(&self) -> (Texels, [f64; 3]) {
+        let z = self.residual.par_iter().zip(&self.sums);
+        let z = z.map(|(r, m)| std::array::from_fn(|c| r[c] / (m[c] + PRIOR.powi(-2)))).collect();
+        let lens = std::array::from_fn(|c| {
+            if self.lens.sum[c] > 0.0 { self.lens.residual[c] / self.lens.sum[c] } else { 0.0 }
+        });
+        (z, lens)
+    }
+
+    fn product(&self, z: &Texels, lens: &[f64; 3]) -> [f64; 3] {
+        let d = dot(&self.residual, z);
+        std::array::from_fn(|c| d[c] + self.lens.residual[c] * lens[c])
+    }
+
+    fn step(&mut self, texels: &mut Texels, progress: &Progress) -> Result<(), Cancelled> {
+        let with = (!self.slopes.is_empty()).then_some((self.slopes.as_slice(), self.lens.direction));
+        let (mut moved, part) =
+            self.state.gradient(self.weights, &self.direction, false, with, progress)?;
+        for (m, d) in moved.iter_mut().zip(&self.direction) {
+            (0..3).for_each(|c| m[c] = PRIOR.powi(-2) * d[c] - m[c]);
+        }
+        let curvature = dot(&self.direction, &moved);
+        let length: [f64; 3] = std::array::from_fn(|c| {
+            let curvature = curvature[c] - self.lens.direction[c] * part.lens[c];
+            if curvature > 0.0 { self.strength[c] / curvature } else { 0.0 }
+        });
+        let rows = texels.iter_mut().zip(&self.direction).zip(self.residual.iter_mut().zip(&moved));
+        for ((x, d), (r, m)) in rows {
+            for c in 0..3 {
+                x[c] += length[c] as f32 * d[c];
+                r[c] -= length[c] as f32 * m[c];
+            }
+        }
+        for c in 0..3 {
+            self.blur[c] += length[c] * self.lens.direction[c];
+            self.lens.residual[c] += length[c] * part.lens[c];
+        }
+        let (z, lens_z) = self.conditioned();
+        let next = self.product(&z, &lens_z);
+        let keep: [f64; 3] = std::array::from_fn(|c| {
+            if self.strength[c] > 0.0 { next[c] / self.strength[c] } else { 0.0 }
+        });
+        for (d, z) in self.direction.iter_mut().zip(&z) {
+            (0..3).for_each(|c| d[c] = z[c] + keep[c] as f32 * d[c]);
+        }
+        (0..3).for_each(|c| self.lens.direction[c] = lens_z[c] + keep[c] * self.lens.direction[c]);
+        self.strength = next;
+        Ok(())
     }
 }
 

@@ -17,7 +17,8 @@ use super::observe::Illumination;
 use crate::light::{Elements, RayKernel, interpolate};
 use crate::photometry::KnownMosaic;
 use crate::progress::{Cancelled, Progress};
-use crate::raster::blur::{gaussian, gaussian_radius};
+use crate::raster::blocks::dilate;
+use crate::raster::blur::{gaussian_each, gaussian_radius};
 use crate::raster::{Image, Rgb};
 use crate::scene::{Camera, Mesh};
 use glam::{DVec2, Vec3};
@@ -29,6 +30,14 @@ const GRID: usize = 2;
 
 /// Least cosine towards the camera at which a surface's colour is told apart from its neighbours' (84 degrees).
 const GRAZING: f32 = 0.1;
+
+/// The rays of a pixel share one shadow test if their surfaces part by no more than this (cosine), and lie no
+/// farther apart than so many pixels' footprints.
+const ONE_FACE: f32 = 0.95;
+const ONE_PLACE: f32 = 4.0;
+
+/// Step of the rays that look for the object first, pixels; what lies within a step and the blur's reach of it counts.
+const SEARCH_STEP: usize = 2;
 
 /// Rows of the texture that one task writes.
 const BAND: usize = 32;
@@ -143,11 +152,12 @@ impl Projection {
     ) -> Result<Option<Self>, Cancelled> {
         let Some(window) = Window::of(light.camera(), around.object) else { return Ok(None) };
         let bounced = around.elements.smooth(bounced);
+        let wanted = around.wanted(light.camera(), &window, progress)?;
         let rows: Vec<Row> = (0..window.height)
             .into_par_iter()
             .map(|y| {
                 progress.check()?;
-                Ok(row(around, light, &bounced, &window, y))
+                Ok(row(around, light, &bounced, &window, &wanted, y))
             })
             .collect::<Result<_, Cancelled>>()?;
         let mut view = Self {
@@ -211,18 +221,18 @@ impl Projection {
     }
 
     /// The readings of all three colours in every pixel for a pulse of energy 1.
-    pub(super) fn predict(&self, texture: &[[f32; 3]], others: bool, blur: f32) -> Rgb {
-        gaussian(&self.pixels(texture, others), blur)
+    pub(super) fn predict(&self, texture: &[[f32; 3]], others: bool, blur: [f32; 3]) -> Rgb {
+        gaussian_each(&self.pixels(texture, others), blur)
     }
 
     /// What white would read everywhere, through the lens.
-    pub(super) fn white(&self, blur: f32) -> Rgb {
-        gaussian(&self.white, blur)
+    pub(super) fn white(&self, blur: [f32; 3]) -> Rgb {
+        gaussian_each(&self.white, blur)
     }
 
     /// Light of other surfaces, through the lens.
-    pub(super) fn others(&self, blur: f32) -> Rgb {
-        gaussian(&self.other, blur)
+    pub(super) fn others(&self, blur: [f32; 3]) -> Rgb {
+        gaussian_each(&self.other, blur)
     }
 
     pub(super) fn blank(&self) -> Rgb {
@@ -286,39 +296,43 @@ fn row(
     light: &Illumination,
     bounced: &[[[f32; 3]; 3]],
     window: &Window,
+    wanted: &Image<bool>,
     y: usize,
 ) -> Row {
     let (camera, lamp) = (light.camera(), light.lamp());
-    let origin = camera.centre().as_vec3();
+    let one = 1.0 / (GRID * GRID) as f32;
     let mut out =
         Row { samples: vec![], other: vec![[0.0; 3]; window.width], unknown: vec![0.0; window.width] };
     for x in 0..window.width {
+        if !wanted.at(x, y) {
+            out.unknown[x] = 1.0;
+            continue;
+        }
         let corner = DVec2::new((window.left + x) as f64, (window.top + y) as f64);
         let response = lamp.field.at(&camera.intrinsics, corner + 0.5) / PI / (GRID * GRID) as f64;
-        for k in 0..GRID * GRID {
+        let met: [Option<Met>; GRID * GRID] = std::array::from_fn(|k| {
             let inside = (DVec2::new((k % GRID) as f64, (k / GRID) as f64) + 0.5) / GRID as f64;
-            let ray = camera.ray(corner + inside).as_vec3();
-            let met = around.kernel.nearest(origin, ray, 0.0, f32::INFINITY).and_then(|hit| {
-                let (mesh, triangle) = around.owners[hit.triangle as usize];
-                let [a, b, c] = *around.kernel.corners(hit.triangle);
-                let normal = (b - a).cross(c - a).normalize_or_zero();
-                (normal.dot(ray) < 0.0).then_some((mesh, triangle, hit, normal))
-            });
-            let Some((mesh, triangle, hit, normal)) = met else {
-                out.unknown[x] += 1.0 / (GRID * GRID) as f32;
+            around.meet(camera, corner + inside)
+        });
+        let shared = shared_share(light, &met);
+        for met in met {
+            let Some(met) = met else {
+                out.unknown[x] += one;
                 continue;
             };
-            let unit = light.direct(origin + ray * hit.t, normal);
-            let (element, at) = around.elements.locate(mesh as usize, triangle as usize, hit.u, hit.v);
+            let share = shared.unwrap_or_else(|| light.lit_share(met.point, met.normal));
+            let unit = share * light.clear(met.point, met.normal);
+            let (element, at) =
+                around.elements.locate(met.mesh as usize, met.triangle as usize, met.uv[0], met.uv[1]);
             let bounce = interpolate(&bounced[element], at);
             let white: [f32; 3] = std::array::from_fn(|c| {
                 ((lamp.radiance[c] * unit + f64::from(bounce[c])) * response) as f32
             });
-            let place = if mesh == 0 { place(around, triangle as usize, hit.u, hit.v) } else { None };
+            let place = if met.mesh == 0 { place(around, met.triangle as usize, met.uv) } else { None };
             match place {
                 Some((texel, at)) => {
-                    if normal.dot(ray) > -GRAZING * ray.length() {
-                        out.unknown[x] += 1.0 / (GRID * GRID) as f32;
+                    if met.facing < GRAZING {
+                        out.unknown[x] += one;
                     }
                     out.samples.push(Sample { pixel: (y * window.width + x) as u32, texel, at, white });
                 }
@@ -332,8 +346,73 @@ fn row(
     out
 }
 
+/// What a ray meets from its front.
+#[derive(Clone, Copy)]
+struct Met {
+    mesh: u32,
+    triangle: u32,
+    uv: [f32; 2],
+    point: Vec3,
+    normal: Vec3,
+    /// Cosine between normal and the way back to the camera.
+    facing: f32,
+    /// Metres that a pixel covers there, across the ray.
+    footprint: f32,
+}
+
+impl Surroundings<'_> {
+    fn meet(&self, camera: &Camera, pixel: DVec2) -> Option<Met> {
+        let (origin, ray) = (camera.centre().as_vec3(), camera.ray(pixel).as_vec3());
+        let hit = self.kernel.nearest(origin, ray, 0.0, f32::INFINITY)?;
+        let (mesh, triangle) = self.owners[hit.triangle as usize];
+        let [a, b, c] = *self.kernel.corners(hit.triangle);
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let facing = -normal.dot(ray) / ray.length();
+        let footprint = hit.t / camera.intrinsics.focal.min_element() as f32;
+        let point = origin + ray * hit.t;
+        (facing > 0.0).then_some(Met { mesh, triangle, uv: [hit.u, hit.v], point, normal, facing, footprint })
+    }
+
+    /// Pixels of the window that show the object or may do so through the lens's blur.
+    fn wanted(&self, camera: &Camera, window: &Window, progress: &Progress) -> Result<Image<bool>, Cancelled> {
+        let (width, height) = (window.width.div_ceil(SEARCH_STEP), window.height.div_ceil(SEARCH_STEP));
+        let rows: Vec<Vec<bool>> = (0..height)
+            .into_par_iter()
+            .map(|y| {
+                progress.check()?;
+                let place = |x: usize| {
+                    DVec2::new(
+                        (window.left + x * SEARCH_STEP) as f64 + 0.5,
+                        (window.top + y * SEARCH_STEP) as f64 + 0.5,
+                    )
+                };
+                Ok((0..width).map(|x| self.meet(camera, place(x)).is_some_and(|m| m.mesh == 0)).collect())
+            })
+            .collect::<Result<_, Cancelled>>()?;
+        let found = Image::from_fn(width, height, |x, y| rows[y][x]);
+        let near = dilate(&found, (gaussian_radius(WIDEST_BLUR) / SEARCH_STEP) + 1);
+        Ok(Image::from_fn(window.width, window.height, |x, y| *near.at(x / SEARCH_STEP, y / SEARCH_STEP)))
+    }
+}
+
+/// The share of light that shadows leave to all rays of a pixel, if they meet one surface in one place.
+fn shared_share(light: &Illumination, met: &[Option<Met>; GRID * GRID]) -> Option<f64> {
+    let first = met[0]?;
+    let (mut point, mut normal) = (Vec3::ZERO, Vec3::ZERO);
+    for m in met {
+        let m = (*m)?;
+        let apart = (m.point - first.point).dot(first.normal).abs();
+        if m.mesh != first.mesh || m.normal.dot(first.normal) < ONE_FACE || apart > ONE_PLACE * first.footprint {
+            return None;
+        }
+        point += m.point / met.len() as f32;
+        normal += m.normal;
+    }
+    Some(light.lit_share(point, normal.normalize_or_zero()))
+}
+
 /// Upper left of the four texels round a point of the object's surface, and where between them.
-fn place(around: &Surroundings, triangle: usize, u: f32, v: f32) -> Option<(u32, [f32; 2])> {
+fn place(around: &Surroundings, triangle: usize, [u, v]: [f32; 2]) -> Option<(u32, [f32; 2])> {
     let [a, b, c] = around.object.uv_corners(triangle)?;
     let uv = a * (1.0 - u - v) + b * u + c * v;
     let n = around.size as f32;

@@ -60,8 +60,8 @@ pub struct Texture {
     pub runs: Vec<Run>,
     /// Energy of each view's pulse, as the texture and its measurement tell.
     pub gains: Vec<FlashGain>,
-    /// Standard deviation of the lens's blur, pixels.
-    pub blur: f32,
+    /// Standard deviation of the lens's blur by channel, pixels.
+    pub blur: [f32; 3],
     /// Bounced light and reflectance on the elements.
     pub bounces: Bounces,
 }
@@ -197,9 +197,8 @@ impl Settled<'_> {
 
     /// Solves every texel; `shot_noise` is the sensor's variance per DN of light.
     pub fn solve(self, shot_noise: f32, progress: &Progress) -> Result<Texture, TextureError> {
-        let blur = std::env::var("BLUR").ok().and_then(|b| b.parse().ok()).unwrap_or(1.0);
         let Joint { texels, gains, blur, runs, cells } =
-            solve_jointly(&self.photos, self.start(), self.size, blur, shot_noise, progress)?;
+            solve_jointly(&self.photos, self.start(), self.size, shot_noise, progress)?;
         let mut estimates = Image::filled(self.size, self.size, None);
         let mut filled = Image::filled(self.size, self.size, None);
         for p in &self.points {
