@@ -2,6 +2,7 @@
 
 use super::{CliError, CliResult, Exit, progress_bar};
 use crate::pipeline::process::{ProcessOptions, process};
+use crate::reflectance::unwrap::{UvChoice, UvSource};
 use crate::session::Session;
 use std::path::PathBuf;
 
@@ -13,14 +14,35 @@ pub(super) struct Args {
     /// Side of the square texture in texels; by default about one texel a photo pixel.
     #[arg(long, value_name = "N")]
     texture_size: Option<usize>,
+    /// The object's texture coordinates: its own where they can be used, else new ones; its own or none; new ones.
+    #[arg(long, value_enum, default_value = "auto")]
+    uvs: Uvs,
     /// Also per-view images: derived/views/NAME/{known,irradiance,reflectance}.exr.
     #[arg(long)]
     views: bool,
 }
 
+/// Where texture coordinates come from.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Uvs {
+    Auto,
+    Own,
+    New,
+}
+
+impl From<Uvs> for UvChoice {
+    fn from(uvs: Uvs) -> Self {
+        match uvs {
+            Uvs::Auto => Self::Auto,
+            Uvs::Own => Self::Own,
+            Uvs::New => Self::New,
+        }
+    }
+}
+
 pub(super) fn run(args: &Args) -> CliResult {
     let session = Session::open(&args.session).map_err(CliError::new)?;
-    let options = ProcessOptions { texture_size: args.texture_size, views: args.views };
+    let options = ProcessOptions { texture_size: args.texture_size, views: args.views, uvs: args.uvs.into() };
     let (bar, progress) = progress_bar::watched();
     let summary = process(&session, &options, &progress);
     bar.finish_and_clear();
@@ -30,6 +52,15 @@ pub(super) fn run(args: &Args) -> CliResult {
     }
     for mesh in &summary.turned {
         println!("{mesh} was seen from behind; its triangles were turned to face the cameras");
+    }
+    if let UvSource::Made(made) = &summary.uvs {
+        println!(
+            "texture coordinates were made, because {}: {} charts over {:.0} % of the texture, lengths shortened {:.2} times at most",
+            made.why,
+            made.charts,
+            100.0 * made.coverage,
+            made.stretch[0]
+        );
     }
     println!(
         "{} views, texture {n} x {n}, {:.1} % of the surface seen, median standard deviation {:.4}",
@@ -47,6 +78,9 @@ pub(super) fn run(args: &Args) -> CliResult {
             "per-view images: {made} made, {stood} up to date, in {}/views",
             session.derived_dir().display()
         );
+    }
+    for warning in summary.out_of_range.warnings() {
+        println!("note: {warning}");
     }
     if summary.up_to_date {
         println!("nothing had changed since the last run");

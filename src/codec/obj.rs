@@ -163,9 +163,35 @@ impl<R: BufRead> Read for FaceLines<R> {
     }
 }
 
+/// A material of a library beside the file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Material<'a> {
+    /// File name of the library.
+    pub library: &'a str,
+    /// Name of the material in it.
+    pub name: &'a str,
+}
+
 /// Writes positions, texture coordinates (when there are any) and faces; `header` lines become comments.
 /// The file is complete when this returns, but is neither synced nor renamed into place.
 pub fn write(path: &Path, obj: &Obj, header: &[&str]) -> Result<(), AssetError> {
+    write_with(path, obj, header, None)
+}
+
+/// Writes a material library with one matt material whose colour is a picture.
+pub fn write_material(path: &Path, name: &str, picture: &str, header: &[&str]) -> Result<(), AssetError> {
+    let mut text: String = header.iter().map(|line| format!("# {line}\n")).collect();
+    text += &format!("newmtl {name}\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {picture}\n");
+    std::fs::write(path, text).map_err(AssetError::writing(path))
+}
+
+/// As [`write()`], every face of one material.
+pub fn write_with(
+    path: &Path,
+    obj: &Obj,
+    header: &[&str],
+    material: Option<Material<'_>>,
+) -> Result<(), AssetError> {
     let textured = !obj.uv_triangles.is_empty();
     if textured && obj.uv_triangles.len() != obj.triangles.len() {
         return Err(AssetError::Unwritable {
@@ -182,11 +208,17 @@ pub fn write(path: &Path, obj: &Obj, header: &[&str]) -> Result<(), AssetError> 
         for line in header {
             writeln!(out, "# {line}")?;
         }
+        if let Some(Material { library, .. }) = material {
+            writeln!(out, "mtllib {library}")?;
+        }
         for p in &obj.positions {
             writeln!(out, "v {} {} {}", p.x, p.y, p.z)?;
         }
         for uv in &obj.uvs {
             writeln!(out, "vt {} {}", uv.x, uv.y)?;
+        }
+        if let Some(Material { name, .. }) = material {
+            writeln!(out, "usemtl {name}")?;
         }
         for (i, t) in obj.triangles.iter().enumerate() {
             let [a, b, c] = t.map(|i| i + 1);
@@ -238,6 +270,21 @@ mod tests {
         let bare = Obj { uvs: vec![], uv_triangles: vec![], ..mesh };
         write(&path, &bare, &[]).unwrap();
         assert_eq!(read(&path).unwrap(), bare);
+    }
+
+    #[test]
+    fn a_material_is_found_by_an_independent_reader() {
+        let folder = tempfile::tempdir().unwrap();
+        let mesh = parsed(&format!("{SQUARE}f 1/4 2/3 3/2\n")).unwrap();
+        let material = Material { library: "a.mtl", name: "reflectance" };
+        write_with(&folder.path().join("a.obj"), &mesh, &["metres"], Some(material)).unwrap();
+        write_material(&folder.path().join("a.mtl"), "reflectance", "a.png", &["sRGB"]).unwrap();
+        let (models, materials) =
+            tobj::load_obj(folder.path().join("a.obj"), &tobj::LoadOptions::default()).unwrap();
+        let material = &materials.unwrap()[models[0].mesh.material_id.unwrap()];
+        assert_eq!(material.diffuse_texture.as_deref(), Some("a.png"));
+        assert_eq!((material.diffuse, material.specular), (Some([1.0; 3]), Some([0.0; 3])));
+        assert_eq!(read(&folder.path().join("a.obj")).unwrap(), mesh);
     }
 
     #[test]

@@ -9,6 +9,7 @@ use std::path::Path;
 use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult};
 use tiff::encoder::{Compression, DeflateLevel, TiffEncoder, colortype};
+use tiff::tags::{Tag, Type};
 
 /// Reads RGB (or RGBA, whose fourth channel is left out) of 8 or 16 bits, scaled to 0..1 by the type's
 /// largest value, or 32-bit float as it is.
@@ -45,9 +46,25 @@ pub fn read_grey8(path: &Path) -> Result<Image<u8>, AssetError> {
     }
 }
 
+/// What a picture tells of itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Told<'a> {
+    /// What its values mean; ASCII.
+    pub description: Option<&'a str>,
+    /// Program and version; ASCII.
+    pub software: Option<&'a str>,
+    /// ICC profile of its colours.
+    pub profile: Option<&'a [u8]>,
+}
+
 /// Writes values of 0..1 times 65535, rounded and clamped, deflated. Not-a-number is refused: an unknown
 /// value has no number in this format.
 pub fn write_rgb16(path: &Path, image: &Rgb) -> Result<(), AssetError> {
+    write_rgb16_told(path, image, &Told::default())
+}
+
+/// As [`write_rgb16`], with what the picture tells of itself.
+pub fn write_rgb16_told(path: &Path, image: &Rgb, told: &Told<'_>) -> Result<(), AssetError> {
     if image.pixels().iter().flatten().any(|v| v.is_nan()) {
         return Err(AssetError::Unwritable {
             path: path.into(),
@@ -56,12 +73,12 @@ pub fn write_rgb16(path: &Path, image: &Rgb) -> Result<(), AssetError> {
     }
     let samples: Vec<u16> =
         image.pixels().iter().flatten().map(|v| (v.clamp(0.0, 1.0) * 65535.0).round() as u16).collect();
-    encode::<colortype::RGB16>(path, image.width(), image.height(), &samples)
+    encode::<colortype::RGB16>(path, image.width(), image.height(), &samples, told)
 }
 
 /// Writes one 8-bit channel, deflated.
 pub fn write_grey8(path: &Path, image: &Image<u8>) -> Result<(), AssetError> {
-    encode::<colortype::Gray8>(path, image.width(), image.height(), image.pixels())
+    encode::<colortype::Gray8>(path, image.width(), image.height(), image.pixels(), &Told::default())
 }
 
 fn decode(path: &Path) -> Result<(usize, usize, ColorType, DecodingResult), AssetError> {
@@ -93,6 +110,7 @@ fn encode<C: colortype::ColorType>(
     width: usize,
     height: usize,
     samples: &[C::Inner],
+    told: &Told<'_>,
 ) -> Result<(), AssetError>
 where
     [C::Inner]: tiff::encoder::TiffValue,
@@ -108,12 +126,25 @@ where
         });
     };
     let mut file = BufWriter::new(File::create(path).map_err(AssetError::writing(path))?);
-    TiffEncoder::new(&mut file)
+    let mut encoder = TiffEncoder::new(&mut file)
         .map_err(fail)?
         .with_compression(Compression::Deflate(DeflateLevel::Fast))
-        .with_predictor(tiff::tags::Predictor::Horizontal)
-        .write_image::<C>(width, height, samples)
-        .map_err(fail)?;
+        .with_predictor(tiff::tags::Predictor::Horizontal);
+    let mut write = || -> tiff::TiffResult<()> {
+        let mut picture = encoder.new_image::<C>(width, height)?;
+        let directory = picture.encoder();
+        for (tag, text) in [(Tag::ImageDescription, told.description), (Tag::Software, told.software)] {
+            if let Some(text) = text {
+                directory.write_tag(tag, text)?;
+            }
+        }
+        if let Some(profile) = told.profile {
+            let entry = directory.write_entry_bytes(Type::UNDEFINED, profile)?;
+            directory.extend_from(&[(Tag::IccProfile, entry)].into_iter().collect());
+        }
+        picture.write_data(samples)
+    };
+    write().map_err(fail)?;
     file.flush().map_err(AssetError::writing(path))
 }
 
@@ -140,6 +171,20 @@ mod tests {
         for (a, b) in image.pixels().iter().flatten().zip(back.pixels().iter().flatten()) {
             assert!((a.clamp(0.0, 1.0) - b).abs() <= 0.5001 / 65535.0, "{a} {b}");
         }
+    }
+
+    #[test]
+    fn what_a_picture_tells_of_itself_comes_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("told.tif");
+        let profile: Vec<u8> = (0..=255).collect();
+        let told = Told { description: Some("linear"), software: Some("unlit"), profile: Some(&profile) };
+        write_rgb16_told(&path, &Image::filled(3, 2, [0.25; 3]), &told).unwrap();
+        let mut decoder = Decoder::new(BufReader::new(File::open(&path).unwrap())).unwrap();
+        assert_eq!(decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap(), "linear");
+        assert_eq!(decoder.get_tag_ascii_string(Tag::Software).unwrap(), "unlit");
+        assert_eq!(decoder.get_tag_u8_vec(Tag::IccProfile).unwrap(), profile);
+        assert_eq!(read_rgb(&path).unwrap().pixels()[5], [16384.0 / 65535.0; 3]);
     }
 
     #[test]

@@ -16,6 +16,7 @@ pub use errors::Errors;
 use crate::codec::asset::AssetError;
 use crate::codec::{exr_image, tiff16};
 use crate::pipeline::scene::{self, SceneError};
+use crate::pipeline::uvs::{self, UvsError};
 use crate::progress::{Cancelled, Progress};
 use crate::raster::blocks::{block_means, erode};
 use crate::raster::{Image, Rgb};
@@ -38,6 +39,9 @@ pub enum EvaluateError {
     /// The session's scene cannot be read.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// The texture coordinates that were made for the object cannot be read.
+    #[error(transparent)]
+    Uvs(#[from] UvsError),
     /// An image cannot be read.
     #[error(transparent)]
     Asset(#[from] AssetError),
@@ -118,7 +122,8 @@ pub struct ViewErrors {
 /// Scores what the session holds.
 pub fn evaluate(session: &Session, truth: &Path, progress: &Progress) -> Result<Evaluation, EvaluateError> {
     let truth = Truth::open(truth)?;
-    let scene = scene::load(session)?;
+    let mut scene = scene::load(session)?;
+    uvs::apply(session, &mut scene)?;
     let view_path = |name: &str| session.derived_dir().join("views").join(name).join("reflectance.exr");
     let texture_path = session.model_dir().join("reflectance.exr");
     let views = if truth.names.iter().any(|name| view_path(name).is_file()) {

@@ -3,6 +3,7 @@
 pub mod develop;
 pub mod energy;
 pub mod evaluate;
+pub mod export;
 pub mod flash;
 mod manifest;
 pub mod pairs;
@@ -11,4 +12,5 @@ mod report;
 pub mod saturation;
 pub mod scene;
 pub mod stops;
+pub mod uvs;
 pub mod views;

@@ -6,31 +6,33 @@ use super::flash::{self, FlashError};
 use super::manifest::{StageManifest, digest};
 use super::report::{self, Told};
 use super::scene::{self, SceneError};
+use super::uvs;
 use crate::calibration::FlashCalibration;
 use crate::codec::asset::AssetError;
-use crate::codec::exr_image::{self, Meta};
+use crate::codec::exr_image::{self, Exr, Meta};
 use crate::codec::png::PngError;
 use crate::export::glb::{self, Colour, GlbError, Model};
 use crate::pair::{PairRecord, Verdict};
 use crate::photometry::FlashGain;
 use crate::progress::{Cancelled, Progress};
-use crate::raster::{Image, Rgb};
+use crate::raster::Rgb;
 use crate::reflectance::atlas;
 use crate::reflectance::bounce::Round;
 use crate::reflectance::joint::Run;
 use crate::reflectance::orientation::face_cameras;
+use crate::reflectance::range::OutOfRange;
 use crate::reflectance::texture::{Solver, Stage, Texture, TextureError};
-use crate::scene::{Camera, Scene};
+use crate::reflectance::unwrap::{UnwrapError, UvChoice, UvSource};
+use crate::scene::{Camera, Mesh, Scene};
 use crate::session::{Session, SessionError, store};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
-use serde_json::json;
 use std::collections::BTreeMap;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 /// Largest texture side that is made.
-const LARGEST_TEXTURE: usize = 16384;
+pub(super) const LARGEST_TEXTURE: usize = 16384;
 
 /// Share of a texture's texels that any one view sees, about, and bytes that are kept of each look.
 const OBSERVED: f64 = 0.15;
@@ -46,6 +48,8 @@ pub struct ProcessOptions {
     pub texture_size: Option<usize>,
     /// Also the per-view images.
     pub views: bool,
+    /// Where the object's texture coordinates come from.
+    pub uvs: UvChoice,
 }
 
 /// What was made, and from what; also `model/summary.json`.
@@ -73,6 +77,18 @@ pub struct ProcessSummary {
     pub blur: [f32; 3],
     /// Meshes whose winding was turned, because the cameras saw them from behind.
     pub turned: Vec<String>,
+    /// Where texture coordinates were asked to come from.
+    #[serde(default)]
+    pub uv_choice: UvChoice,
+    /// Where they came from.
+    #[serde(default)]
+    pub uvs: UvSource,
+    /// Digest of the object's surface, to tell whether the scene is still the one that the model was made from.
+    #[serde(default)]
+    pub object: String,
+    /// Shares of the seen texels that reflect more or less than diffuse surfaces do.
+    #[serde(default)]
+    pub out_of_range: OutOfRange,
     /// Nothing had changed since the last run, so nothing was computed. Not stored.
     #[serde(skip)]
     pub up_to_date: bool,
@@ -129,6 +145,9 @@ pub enum ProcessError {
     /// Solving.
     #[error(transparent)]
     Texture(TextureError),
+    /// Texture coordinates.
+    #[error(transparent)]
+    Unwrap(UnwrapError),
     /// Writing an image.
     #[error(transparent)]
     Asset(#[from] AssetError),
@@ -163,6 +182,15 @@ impl From<TextureError> for ProcessError {
     }
 }
 
+impl From<UnwrapError> for ProcessError {
+    fn from(error: UnwrapError) -> Self {
+        match error {
+            UnwrapError::Cancelled(c) => Self::Cancelled(c),
+            other => Self::Unwrap(other),
+        }
+    }
+}
+
 /// Everything that goes in, read and matched.
 pub(super) struct Inputs {
     pub(super) calibration: FlashCalibration,
@@ -172,6 +200,8 @@ pub(super) struct Inputs {
     pub(super) left_out: Vec<LeftOut>,
     /// The flash over the session.
     pub(super) flash: FlashAccount,
+    /// Where the object's texture coordinates were asked to come from, and did.
+    uvs: (UvChoice, UvSource),
     /// Digest of all of it.
     pub(super) key: String,
 }
@@ -182,15 +212,19 @@ pub fn process(
     options: &ProcessOptions,
     progress: &Progress,
 ) -> Result<ProcessSummary, ProcessError> {
-    let inputs = Inputs::read(session)?;
-    let size = texture_size(options, &inputs)?;
-    let key = digest(&[inputs.key.as_bytes(), &size.to_le_bytes()]);
+    let mut inputs = Inputs::read(session)?;
+    let fitting = |object: &Mesh| texture_size(options, object, &inputs.matched);
+    let choice = (options.uvs, options.texture_size.is_some());
+    let (size, uvs) = uvs::settle(&mut inputs.scene, choice, fitting, progress)?;
+    inputs.uvs = (options.uvs, uvs);
+    let key = digest(&[inputs.key.as_bytes(), &size.to_le_bytes(), format!("{:?}", inputs.uvs).as_bytes()]);
     let mut manifest = StageManifest::load(session);
     let mut summary = match stored(session).filter(|_| manifest.is_done(session, "texture", &key)) {
         Some(summary) => ProcessSummary { up_to_date: true, ..summary },
         None => {
             let summary = solve_and_write(session, inputs.clone_scene(), &inputs, size, progress)?;
-            manifest.note(session, "texture", &key, &outputs()).map_err(io(&session.derived_dir()))?;
+            let outputs = outputs(&summary.uvs);
+            manifest.note(session, "texture", &key, &outputs).map_err(io(&session.derived_dir()))?;
             summary
         }
     };
@@ -206,11 +240,12 @@ pub fn stored(session: &Session) -> Option<ProcessSummary> {
     serde_json::from_slice(&std::fs::read(session.model_dir().join("summary.json")).ok()?).ok()
 }
 
-fn outputs() -> Vec<String> {
+fn outputs(uvs: &UvSource) -> Vec<String> {
     ["reflectance.exr", "stddev.exr", "views.exr", "model.glb", "summary.json", "report.html"]
         .map(|name| format!("model/{name}"))
         .into_iter()
         .chain([super::views::ELEMENTS.to_owned()])
+        .chain((*uvs != UvSource::Own).then(|| uvs::FILE.to_owned()))
         .collect()
 }
 
@@ -249,7 +284,7 @@ impl Inputs {
             parts.push(format!("without {}: {}", left.name, left.why).into_bytes());
         }
         let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
-        Ok(Self { calibration, scene, matched, left_out, flash, key })
+        Ok(Self { calibration, scene, matched, left_out, flash, uvs: Default::default(), key })
     }
 
     /// The energy of a pair's pulse against the calibration's.
@@ -287,8 +322,12 @@ fn no_pairs(left_out: &[LeftOut], scene: &Scene) -> String {
     }
 }
 
-fn texture_size(options: &ProcessOptions, inputs: &Inputs) -> Result<usize, ProcessError> {
-    let views = inputs.matched.len() as f64;
+fn texture_size(
+    options: &ProcessOptions,
+    object: &Mesh,
+    matched: &[(PairRecord, Camera)],
+) -> Result<usize, ProcessError> {
+    let views = matched.len() as f64;
     let needs = |size: usize| (size * size) as f64 * (TEXEL + views * OBSERVED * OBSERVATION);
     let has = memory();
     if let Some(size) = options.texture_size {
@@ -298,11 +337,9 @@ fn texture_size(options: &ProcessOptions, inputs: &Inputs) -> Result<usize, Proc
         let (needs, has) = (needs(size) / 1e9, has / 1e9);
         return if needs < has { Ok(size) } else { Err(ProcessError::Memory { size, needs, has }) };
     }
-    let Some(object) = inputs.scene.meshes.first() else { return Ok(1024) };
     let n = object.positions.len().max(1) as f32;
     let centre = (object.positions.iter().copied().sum::<Vec3>() / n).as_dvec3();
-    let finest = inputs
-        .matched
+    let finest = matched
         .iter()
         .map(|(_, camera)| (camera.centre() - centre).length() / camera.intrinsics.focal.max_element())
         .fold(f64::INFINITY, f64::min);
@@ -364,6 +401,9 @@ fn solve_and_write(
     let mut summary = summarise(inputs, &texture, size);
     summary.turned = turned;
     progress.report("writing the model", 0, 1);
+    if let Some(object) = inputs.scene.meshes.first() {
+        uvs::keep(session, object, &summary.uvs)?;
+    }
     write(session, &scene, inputs, &texture, &summary)?;
     super::views::keep_elements(session, &texture.bounces.rho)?;
     eprintln!("written {:?}", tock.elapsed());
@@ -397,6 +437,10 @@ fn summarise(inputs: &Inputs, texture: &Texture, size: usize) -> ProcessSummary 
             .collect(),
         blur: texture.blur,
         turned: vec![],
+        uv_choice: inputs.uvs.0,
+        uvs: inputs.uvs.1.clone(),
+        object: inputs.scene.meshes.first().map(uvs::digest).unwrap_or_default(),
+        out_of_range: OutOfRange::of(texture.estimates.pixels().iter().flatten().map(|e| e.rho)),
         up_to_date: false,
         views: (0, 0),
     }
@@ -420,29 +464,30 @@ fn write(
     let sd = texture
         .estimates
         .map(|e| e.map_or([0.0; 3], |e| std::array::from_fn(|c| e.sd[c].hypot(e.rho[c] * scale_error[c]))));
-    let views: Image<f32> = texture.estimates.map(|e| e.map_or(0.0, |e| f32::from(e.views)));
     whole(&model.join("reflectance.exr"), |to| {
         exr_image::write_rgb(to, &rho, &meta("diffuse reflectance, 0 to 1; row 0 at v = 1"))
     })?;
     whole(&model.join("stddev.exr"), |to| {
         exr_image::write_rgb(to, &sd, &meta("standard deviation of the reflectance; 0 where views.exr is 0"))
     })?;
-    whole(&model.join("views.exr"), |to| {
-        exr_image::write_grey(to, &views, &meta("views that made up each texel; 0: not seen, filled"))
-    })?;
+    let views = texture.estimates.pixels().iter().map(|e| e.map_or(0.0, |e| f32::from(e.views))).collect();
+    let surface = texture.filled.pixels().iter().map(|p| f32::from(u8::from(p.is_some()))).collect();
+    let counts = Exr {
+        width: rho.width(),
+        height: rho.height(),
+        channels: vec![("Y".into(), views), ("surface".into(), surface)],
+        meta: meta(
+            "Y: views that made up each texel; surface: 1 where the object is, 0 in the gutters; surface 1 and Y 0: not seen, filled",
+        ),
+    };
+    whole(&model.join("views.exr"), |to| exr_image::write(to, &counts))?;
     let Some(object) = scene.meshes.first() else { return Err(SceneError::NoMesh.into()) };
     let glb = glb::encode(&Model {
         mesh: object,
         texture: &rho,
         colour: Colour::Uncalibrated,
         up: up(&scene.cameras),
-        provenance: json!({
-            "session": session.manifest().name,
-            "pairs": summary.used,
-            "seen": summary.seen,
-            "median_standard_deviation": summary.median_deviation,
-            "method": "flash-only light over simulated ring-flash light with bounces, weighted least squares over views",
-        }),
+        provenance: super::export::provenance(session, summary),
     })?;
     let path = model.join("model.glb");
     store::write_atomic(&path, &glb).map_err(io(&path))?;
@@ -488,7 +533,7 @@ where
 }
 
 /// The world axis that the cameras hold up; `None` when they do not agree on one.
-fn up(cameras: &[Camera]) -> Option<Vec3> {
+pub(super) fn up(cameras: &[Camera]) -> Option<Vec3> {
     let sum: glam::DVec3 = cameras.iter().map(|c| -c.world_from_camera.matrix3.y_axis).sum();
     let mean = (sum / cameras.len().max(1) as f64).as_vec3();
     let axis = mean.abs().max_position();

@@ -10,6 +10,7 @@ use crate::export::report::{self, Block, Picture, Report, Scale, Section};
 use crate::pair::PairRecord;
 use crate::raster::{Image, srgb};
 use crate::reflectance::solve::Estimate;
+use crate::reflectance::unwrap::UvSource;
 use crate::session::Manifest;
 
 /// Longest edge of a preview in pixels.
@@ -20,9 +21,6 @@ const NOTHING: [u8; 3] = [72, 72, 72];
 
 /// Colours for numbers, low to high, ever brighter, so that they can be told apart without seeing colour.
 const SCALE: [[u8; 3]; 5] = [[32, 26, 66], [92, 44, 110], [176, 68, 96], [230, 130, 70], [250, 222, 150]];
-
-/// Range of diffuse base colours that rendering programs expect of materials. Nothing is clamped to it.
-const USUAL: std::ops::RangeInclusive<f32> = 0.03..=0.9;
 
 /// What the report tells of.
 pub(super) struct Told<'a> {
@@ -123,9 +121,7 @@ fn shrunk(estimates: &Image<Option<Estimate>>, colour: &dyn Fn(&Estimate) -> [f3
 
 fn figures(told: &Told<'_>) -> Vec<Block> {
     let summary = told.summary;
-    let seen = told.estimates.pixels().iter().flatten();
-    let outside = seen.clone().filter(|e| e.rho.iter().any(|v| !USUAL.contains(v))).count();
-    let share = percent(outside as f64 / seen.count().max(1) as f64);
+    let range = &summary.out_of_range;
     let moved: Vec<String> = summary.rounds.iter().map(|r| format!("{:.5}", r.mean_change)).collect();
     let mut facts = vec![
         fact("Texture", format!("{n} x {n} texels", n = summary.texture_size)),
@@ -133,12 +129,24 @@ fn figures(told: &Told<'_>) -> Vec<Block> {
         fact("Mean reflectance", three(summary.mean_reflectance, 4)),
         fact("Median standard deviation", format!("{:.4}", summary.median_deviation)),
         fact("Rounds of bounces", format!("{}; reflectance moved by {}", moved.len(), moved.join(", "))),
-        fact("Outside 0.03 to 0.9", format!("{share} of the seen texels, in one channel at least")),
+        fact("Texture coordinates", coordinates(&summary.uvs)),
+        fact(
+            "Darker than 0.02, brighter than 0.9",
+            format!(
+                "{}, {} of the seen texels, mean of the channels",
+                percent(range.dark),
+                percent(range.bright)
+            ),
+        ),
+        fact(
+            "Below 0, above 1",
+            format!("{}, {}, in one channel at least", percent(range.negative), percent(range.above_one)),
+        ),
     ];
     if !summary.turned.is_empty() {
         facts.push(fact("Turned to face the cameras", summary.turned.join(", ")));
     }
-    vec![
+    let mut blocks = vec![
         Block::Facts(facts),
         Block::Text(
             "Reflectance runs from 0 to 1 and is linear. Colour space: camera RGB, uncalibrated. The channels are \
@@ -147,12 +155,27 @@ fn figures(told: &Told<'_>) -> Vec<Block> {
                 .into(),
         ),
         Block::Text(
-            "Rendering programs expect diffuse colours between about 0.03 (charcoal) and 0.9 (fresh snow). Values \
-             outside are kept as they were measured. Many of them hint at gloss or metal, which this model does \
-             not describe, or at a calibration card of another reflectance than stated."
+            "Rendering programs expect diffuse colours between about 0.02 (charcoal) and 0.9 (fresh snow). Values \
+             outside are kept as they were measured."
                 .into(),
         ),
-    ]
+    ];
+    blocks.extend(range.warnings().into_iter().map(Block::Text));
+    blocks
+}
+
+fn coordinates(uvs: &UvSource) -> String {
+    match uvs {
+        UvSource::Own => "the mesh's own".into(),
+        UvSource::Made(made) => format!(
+            "made, because {}; {} charts, {} of the texture, lengths shortened {:.2} times at most, {:.2} on average",
+            made.why,
+            made.charts,
+            percent(made.coverage),
+            made.stretch[0],
+            made.stretch[1]
+        ),
+    }
 }
 
 fn rig(told: &Told<'_>) -> Vec<Block> {
@@ -233,7 +256,11 @@ fn files() -> Vec<Block> {
             "The texture to work with: 32-bit float, linear, row 0 at v = 1. Unseen parts are filled.",
         ],
         ["stddev.exr", "Its standard deviation, a channel each; 0 where views.exr is 0."],
-        ["views.exr", "Views that made up each texel; 0: not seen."],
+        [
+            "views.exr",
+            "Y: views that made up each texel. surface: 1 on the object, 0 between charts. surface 1 and Y 0: no view \
+             saw it, it was filled.",
+        ],
         ["summary.json", "The figures above, for programs."],
     ];
     let rows = rows.into_iter().map(|row| row.map(str::to_owned).to_vec()).collect();
@@ -277,6 +304,8 @@ mod tests {
     use crate::photometry::NoiseModel;
     use crate::pipeline::process::LeftOut;
     use crate::reflectance::bounce::Round;
+    use crate::reflectance::range::OutOfRange;
+    use crate::reflectance::unwrap::UvChoice;
 
     fn of(name: &str, rho: [f32; 3]) -> String {
         let manifest = Manifest {
@@ -318,6 +347,10 @@ mod tests {
             mean_reflectance: [0.25, 0.5, 0.75],
             rounds: vec![Round { mean_change: 0.002 }],
             turned: vec![],
+            uv_choice: UvChoice::Auto,
+            uvs: UvSource::Own,
+            object: String::new(),
+            out_of_range: OutOfRange::of(std::iter::repeat_n(rho, 1).chain([[0.5; 3]; 3])),
             up_to_date: false,
             views: (0, 0),
         };
@@ -366,9 +399,13 @@ mod tests {
 
     #[test]
     fn unusual_reflectance_is_counted_not_clamped() {
-        assert!(of("a", [0.5; 3]).contains("0.00 % of the seen texels"));
-        assert!(of("a", [0.5, 0.5, 0.95]).contains("25.00 % of the seen texels"));
-        assert!(of("a", [0.01, 0.5, 0.5]).contains("25.00 % of the seen texels"));
+        assert!(of("a", [0.5; 3]).contains("0.00 %, 0.00 % of the seen texels"));
+        let bright = of("a", [0.95, 0.95, 1.05]);
+        assert!(bright.contains("0.00 %, 25.00 % of the seen texels, mean of the channels"));
+        assert!(bright.contains("0.00 %, 25.00 %, in one channel at least"));
+        assert!(bright.contains("more than fresh snow") && bright.contains("which no matt surface can"));
+        let dark = of("a", [0.01, -0.01, 0.02]);
+        assert!(dark.contains("25.00 %, 0.00 % of the seen texels") && dark.contains("less than charcoal"));
     }
 
     #[test]

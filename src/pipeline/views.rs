@@ -22,8 +22,10 @@ pub(super) const ELEMENTS: &str = "derived/elements.f32";
 /// Makes the per-view images that are missing or out of date, and the texture if that is. Gives the numbers of
 /// images made and of those that still stood.
 pub fn ensure(session: &Session, progress: &Progress) -> Result<(usize, usize), ProcessError> {
-    let size = super::process::stored(session).map(|s| s.texture_size);
-    Ok(process(session, &ProcessOptions { texture_size: size, views: true }, progress)?.views)
+    let stored = super::process::stored(session);
+    let uvs = stored.as_ref().map(|s| s.uv_choice).unwrap_or_default();
+    let texture_size = stored.map(|s| s.texture_size);
+    Ok(process(session, &ProcessOptions { texture_size, views: true, uvs }, progress)?.views)
 }
 
 pub(super) fn keep_elements(session: &Session, rho: &[[f32; 3]]) -> Result<(), ProcessError> {

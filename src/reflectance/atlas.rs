@@ -82,7 +82,10 @@ pub fn lay_out(mesh: &Mesh, size: usize) -> Result<Vec<TexelPoint>, AtlasError> 
                 }
             }
         });
-        charts.push((t as u32, corners));
+        // One that has no area in the texture has nothing to lend to a border.
+        if (corners[1] - corners[0]).perp_dot(corners[2] - corners[0]) != 0.0 {
+            charts.push((t as u32, corners));
+        }
     }
     claim_borders(&charts, size, &mut owner);
     if outside * 100 > mesh.triangles.len() {

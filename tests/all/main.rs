@@ -11,6 +11,7 @@ mod camera_usb;
 mod capture;
 mod decoders;
 mod evaluate;
+mod export;
 mod fake_rig;
 mod firmware;
 mod firmware_fuzz;

@@ -9,6 +9,7 @@
 //! from a damaged one, and nothing that a file says makes the program stop.
 
 pub(in crate::codec) mod boxes;
+pub mod colour;
 mod dng_in;
 mod error;
 pub mod host;

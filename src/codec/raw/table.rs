@@ -49,6 +49,14 @@ pub(super) fn check_plane_size(what: &str, plane: &Plane, size: (usize, usize)) 
     })
 }
 
+/// The table's matrix from CIE XYZ to the camera's RGB, for D65; `None` for a camera that it does not know. No pixel is
+/// decoded.
+pub(super) fn colour(bytes: &[u8]) -> Option<[[f64; 3]; 3]> {
+    let frame = rawloader::decode_dummy(&mut { bytes }).ok()?;
+    let [r, g, b, _] = frame.xyz_to_cam;
+    Some([r, g, b].map(|row| row.map(f64::from)))
+}
+
 /// Asks for the size first, refuses what cannot be, then decodes. The library catches its own panics.
 fn decode_capped(mut bytes: &[u8], what: &str) -> Result<RawImage, Refused> {
     let failed = |error: rawloader::RawLoaderError| {

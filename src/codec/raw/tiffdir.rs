@@ -277,6 +277,10 @@ pub(super) mod tag {
     pub(in super::super) const BLACK_REPEAT: u16 = 50713;
     pub(in super::super) const BLACK_LEVEL: u16 = 50714;
     pub(in super::super) const WHITE_LEVEL: u16 = 50717;
+    pub(in super::super) const COLOR_MATRIX_1: u16 = 50721;
+    pub(in super::super) const COLOR_MATRIX_2: u16 = 50722;
+    pub(in super::super) const ILLUMINANT_1: u16 = 50778;
+    pub(in super::super) const ILLUMINANT_2: u16 = 50779;
     pub(in super::super) const ACTIVE_AREA: u16 = 50829;
     pub(in super::super) const MASKED_AREAS: u16 = 50830;
     pub(in super::super) const CR2_SLICES: u16 = 50752;

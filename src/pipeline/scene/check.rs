@@ -88,7 +88,7 @@ fn warnings(check: &SelfCheck, object: &Mesh) -> Vec<String> {
     }
     if object.uv_triangles.is_empty() {
         warnings.push(format!(
-            "{} has no texture coordinates: export it with UVs to have its texture solved",
+            "{} has no texture coordinates: they will be made; to have your own, export it with UVs",
             object.name
         ));
     }
