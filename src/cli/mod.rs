@@ -6,6 +6,7 @@ mod decode_host;
 mod devices;
 mod doctor;
 mod evaluate;
+mod experiment;
 mod flash;
 mod import;
 mod import_pairs;
@@ -90,6 +91,8 @@ enum Command {
     Process(process::Args),
     /// Compares a session's reflectance with a known truth.
     Evaluate(evaluate::Args),
+    /// Runs the thesis's experiments again in the simulated studio and prints both figures.
+    Experiment(experiment::Args),
     /// Looks at what cameras and flash controllers need on this machine, and says what to do; exit code 1 if
     /// anything keeps them from working.
     Doctor(doctor::Args),
@@ -121,6 +124,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
         Command::Calibrate(what) => calibrate::run(&what),
         Command::Process(args) => process::run(&args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::Experiment(args) => experiment::run(args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Flash(what) => flash::run(&what),
         Command::Openapi => openapi::run(),
