@@ -4,7 +4,7 @@
 //! edges. So measured and simulated light stay apart, and each point's reflectance rho minimises
 //! `sum of w (P - rho m)^2` over the views that see it, m being what a white surface would have read
 //! ([`observe`], [`solve`]). Bounced light depends on rho: [`bounce`] simulates it with the estimate so far and
-//! solves again until it stands still. [`atlas`] lays the points out in the texture, [`maps`] gives the
+//! solves again until it stands still; [`robust`] finds the gloss that all points share and takes it off. [`atlas`] lays the points out in the texture, [`maps`] gives the
 //! per-view images for those who texture elsewhere.
 //!
 //! Units: light in DN of the sensor, so that the lamp's calibrated radiance is all that ties them together;
@@ -15,5 +15,6 @@ pub mod bounce;
 pub mod maps;
 pub mod observe;
 pub mod orientation;
+pub mod robust;
 pub mod solve;
 pub mod texture;

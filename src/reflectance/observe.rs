@@ -39,6 +39,10 @@ pub struct Observation {
     pub resolution: f32,
     /// Factor from irradiance (DN) to reading: field factor / pi. Bounced light enters `white` through it.
     pub response: f32,
+    /// Cosine between normal and direction to the camera.
+    pub facing: f32,
+    /// Share of bounced light that a gloss sends on beside the paint; 0 where none was found.
+    pub gloss: f32,
 }
 
 /// A camera and its flash before the scene: what light falls where, before anyone looks at a photograph.
@@ -132,7 +136,8 @@ impl View<'_> {
         let focal = camera.intrinsics.focal;
         let resolution = focal.x * focal.y * normal.as_dvec3().dot(way) / (depth * depth * depth);
         let (resolution, response) = (resolution as f32, response as f32);
-        Some(Observation { known, variance, white, resolution, response })
+        let facing = (normal.as_dvec3().dot(way) / way.length()) as f32;
+        Some(Observation { known, variance, white, resolution, response, facing, gloss: 0.0 })
     }
 
     /// Reading of the known light between pixels: cubic convolution, which does not blur as bilinear does;

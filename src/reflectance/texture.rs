@@ -175,10 +175,15 @@ impl<'a> Solver<'a> {
             progress.check()?;
             progress.report("adding bounces", v, self.lights.len());
             let corners = elements.smooth(&bounces.of_view(v));
+            let gloss = bounces.gloss.first().copied().flatten();
             texels.par_iter_mut().for_each(|(i, o)| {
                 let p = &self.points[*i as usize];
                 let (element, at) = elements.locate(0, p.triangle as usize, p.u, p.v);
-                o.white = reading(o, &interpolate(&corners[element], at)).white;
+                if let Some(lobe) = gloss {
+                    lobe.take_off(o);
+                }
+                let whole = reading(o, &interpolate(&corners[element], at));
+                (o.known, o.white) = (whole.known, whole.white);
             });
         }
         let tiles = self.points.len().div_ceil(TILE);

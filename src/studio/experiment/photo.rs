@@ -7,7 +7,6 @@ use crate::calibration::FieldFactor;
 use crate::photometry::{Cfa, IsolateError, Known, LevelSource, Levels, Mosaic, NoiseModel, isolate};
 use crate::raster::{Image, Rgb};
 use crate::reflectance::observe::Lamp;
-use crate::scene::{Camera, Intrinsics};
 use crate::studio::world::lab::{self, Shot};
 
 /// Brightest object pixels stand at this share of the range: well exposed, nothing clipped.
@@ -92,36 +91,6 @@ pub(super) fn sum(a: &Rgb, b: &Rgb, weight: f32) -> Rgb {
     Image::from_fn(a.width(), a.height(), |x, y| {
         let (a, b) = (a.at(x, y), b.at(x, y));
         [0, 1, 2].map(|c| a[c] + weight * b[c])
-    })
-}
-
-/// The same camera with `factor` times as many pixels each way.
-pub(super) fn finer(camera: &Camera, factor: usize) -> Camera {
-    let (lens, k) = (&camera.intrinsics, factor as f64);
-    let intrinsics = Intrinsics {
-        width: lens.width * factor,
-        height: lens.height * factor,
-        focal: lens.focal * k,
-        principal: lens.principal * k,
-        distortion: lens.distortion,
-    };
-    Camera { intrinsics, ..camera.clone() }
-}
-
-/// Means over `factor` x `factor` pixels; 0 in all channels where one of them is 0, which is nothing seen.
-pub(super) fn coarser(image: &Rgb, factor: usize) -> Rgb {
-    Image::from_fn(image.width() / factor, image.height() / factor, |x, y| {
-        let mut sum = [0.0f32; 3];
-        for k in 0..factor * factor {
-            let p = image.at(x * factor + k % factor, y * factor + k / factor);
-            if p[1] <= 0.0 {
-                return [0.0; 3];
-            }
-            for c in 0..3 {
-                sum[c] += p[c] / (factor * factor) as f32;
-            }
-        }
-        sum
     })
 }
 

@@ -4,21 +4,27 @@
 //! light, room and flash, each rounded to 8 or 14 bits. Truth is the unrounded flash image and the renderer's
 //! reflectance.
 
-use super::photo::{Both, Exposed, coarser, finer, known, sum};
+use super::photo::{Both, Exposed, known, sum};
 use super::{ExperimentError, Options, Outcome, Row, Table};
-use crate::photometry::Known;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
-use crate::reflectance::maps::view_maps;
+use crate::reflectance::observe::{Illumination, Lamp};
 use crate::reflectance::texture::Stage;
 use crate::scene::Camera;
 use crate::studio::world::lab::{self, Lab, Setting, Shot};
+use glam::{DAffine3, DVec2};
+use rayon::prelude::*;
+use std::f64::consts::{PI, TAU};
 
 /// Stops of the studio's walk whose views are taken: a low one and a high one.
 const STOPS: [usize; 2] = [1, 9];
 
-/// The irradiance map has this many times the photograph's pixels each way, and 2 x 2 samples in each.
-const FINER: usize = 4;
+/// Turns of the ring about the lens at which the irradiance is simulated and averaged: the ring is round, so each
+/// gives the same but for the samples of its shadows.
+const TURNS: usize = 8;
+
+/// Samples of a pixel's square along each side.
+const GRID: usize = 4;
 
 /// Floor of the studio, metres.
 const FLOOR: f64 = 1.2;
@@ -32,38 +38,83 @@ struct Look {
     white: Rgb,
 }
 
-fn looks(options: Options, progress: &Progress) -> Result<Vec<Look>, ExperimentError> {
+/// What a pixel shows.
+#[derive(Clone, Copy, PartialEq)]
+enum Pixel {
+    /// The spot at its centre.
+    Spot,
+    /// The mean over its square, as an antialiasing renderer gives it.
+    Square,
+}
+
+fn looks(pixel: Pixel, options: Options, progress: &Progress) -> Result<Vec<Look>, ExperimentError> {
     let lab = Lab::new(Setting { floor: FLOOR, varnish: None, bounces: false });
-    let rays = if options.quick { (32, 8) } else { (256, 64) };
     let stage = Stage::build(lab.meshes());
     let cameras = lab::studio_cameras();
     let stops = if options.quick { &STOPS[1..] } else { &STOPS };
     let mut looks = vec![];
     for stop in stops {
         let camera = &cameras[stop - 1];
-        let shot = lab.shoot(camera, rays, options.seed, progress)?;
+        let shot = match (pixel, options.quick) {
+            (Pixel::Spot, true) => lab.shoot_spots(camera, 128, options.seed, progress)?,
+            (Pixel::Spot, false) => lab.shoot_spots(camera, 1024, options.seed, progress)?,
+            (Pixel::Square, true) => lab.shoot(camera, (32, 8), options.seed, progress)?,
+            (Pixel::Square, false) => lab.shoot(camera, (256, 64), options.seed, progress)?,
+        };
         progress.report("simulating the flash", 0, 1);
-        let white = white_without_bounces(&stage, camera, progress)?;
+        let white = white_without_bounces(&stage, camera, pixel, progress)?;
         looks.push(Look { shot, white });
     }
     Ok(looks)
 }
 
-/// What a white surface would read, pixel by pixel, were the lamp's radiance the ring's own number of DN.
-fn white_without_bounces(stage: &Stage, camera: &Camera, progress: &Progress) -> Result<Rgb, Cancelled> {
-    let fine = finer(camera, FINER);
-    let (width, height) = (fine.intrinsics.width, fine.intrinsics.height);
+/// What a white surface would read in each pixel, were the lamp's radiance the ring's own number of DN.
+fn white_without_bounces(
+    stage: &Stage,
+    camera: &Camera,
+    pixel: Pixel,
+    progress: &Progress,
+) -> Result<Rgb, Cancelled> {
     let lamp = Exposed { scale: 1.0, bits: 1 }.lamp(1.0);
-    let light = stage.illuminate(&fine, &lamp);
-    // Only the light is wanted; nothing was read.
-    let nothing = Known {
-        rgb: Rgb::filled(width, height, [0.0; 3]),
-        variance: Rgb::filled(width, height, [1.0; 3]),
-        valid: Image::filled(width, height, false),
-    };
-    let dark = vec![[0.0; 3]; stage.elements.len()];
-    let maps = view_maps(&light, &nothing, &stage.elements, &dark, progress)?;
-    Ok(coarser(&maps.white, FINER))
+    let (grid, turns) = if pixel == Pixel::Spot { (1, TURNS) } else { (GRID, 2) };
+    let turned: Vec<Camera> = (0..turns)
+        .map(|k| {
+            let turn = DAffine3::from_rotation_z(TAU * (k as f64 * 0.618_033_988_749_895).fract());
+            Camera { world_from_camera: camera.world_from_camera * turn, ..camera.clone() }
+        })
+        .collect();
+    let lights: Vec<Illumination> = turned.iter().map(|camera| stage.illuminate(camera, &lamp)).collect();
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let mut white = vec![[0.0; 3]; width * height];
+    white.par_chunks_mut(width).enumerate().try_for_each(|(y, row)| {
+        progress.check()?;
+        for (x, value) in row.iter_mut().enumerate() {
+            let at = |k: usize| {
+                let inside = DVec2::new((k % grid) as f64, (k / grid) as f64) + 0.5;
+                DVec2::new(x as f64, y as f64) + inside / grid as f64
+            };
+            let sum: Option<f64> = (0..grid * grid).map(|k| irradiance(stage, camera, &lights, at(k))).sum();
+            // A pixel that looks past all surfaces keeps 0, which is not known.
+            let unit = sum.unwrap_or(0.0) / (grid * grid) as f64;
+            *value = reading(&lamp, unit);
+        }
+        Ok::<_, Cancelled>(())
+    })?;
+    Ok(Image::from_fn(width, height, |x, y| white[y * width + x]))
+}
+
+/// Reading of a white surface in this irradiance per unit radiance.
+fn reading(lamp: &Lamp, unit: f64) -> [f32; 3] {
+    lamp.radiance.map(|r| (r * unit / PI) as f32)
+}
+
+/// Irradiance per unit radiance where a pixel position meets a surface, by the program's direct light.
+fn irradiance(stage: &Stage, camera: &Camera, lights: &[Illumination], at: DVec2) -> Option<f64> {
+    let (origin, ray) = (camera.centre().as_vec3(), camera.ray(at).as_vec3());
+    let hit = stage.elements.kernel().nearest(origin, ray, 0.0, f32::INFINITY)?;
+    let (point, normal) = (origin + ray * hit.t, stage.elements.normal(hit.triangle as usize));
+    let sum: f64 = lights.iter().map(|light| light.direct(point, normal)).sum();
+    (normal.dot(ray) < 0.0).then(|| sum / lights.len() as f64)
 }
 
 /// How the two photographs of one trial are taken.
@@ -111,17 +162,25 @@ fn rows(looks: &[Look], trial: Trial, thesis: Option<[[f64; 2]; 4]>) -> Result<V
 const THESIS_POC: [[f64; 2]; 4] = [[0.2729, 0.5251], [0.0603, 0.2565], [0.9422, 2.4152], [0.1080, 0.9914]];
 
 pub(super) fn poc(options: Options, progress: &Progress) -> Result<Outcome, ExperimentError> {
-    let looks = looks(options, progress)?;
-    let table = |bits, thesis| {
-        Ok::<_, ExperimentError>(Table {
-            title: format!("Table 2.2, proof of concept, photographs of {bits} bits"),
-            rows: rows(&looks, Trial { bits, energy: 1.0, own_exposure: false }, thesis)?,
-        })
-    };
+    let spots = looks(Pixel::Spot, options, progress)?;
+    let squares = looks(Pixel::Square, options, progress)?;
+    let mut tables = vec![];
+    for (looks, how) in [(&spots, "a pixel is a spot"), (&squares, "a pixel is a square")] {
+        for bits in [8, 14] {
+            tables.push(Table {
+                title: format!("Table 2.2, proof of concept, {bits} bits, {how}"),
+                rows: rows(looks, Trial { bits, energy: 1.0, own_exposure: false }, Some(THESIS_POC))?,
+            });
+        }
+    }
     Ok(Outcome {
-        about: about(looks.len()),
-        tables: vec![table(8, Some(THESIS_POC))?, table(14, Some(THESIS_POC))?],
-        notes: vec!["The thesis's photographs have 8 bits; its figures stand beside both.".into()],
+        about: about(spots.len()),
+        tables,
+        notes: vec![
+            "The thesis's photographs have 8 bits; its figures stand beside both.".into(),
+            "Where a pixel is the mean over its square, the ratio of means is not the mean of ratios: pixels              across an edge between two surfaces part from the truth whatever the bits."
+                .into(),
+        ],
     })
 }
 
@@ -139,7 +198,7 @@ const THESIS_PRECISION: [[[[f64; 2]; 4]; 2]; 2] = [
 ];
 
 pub(super) fn precision(options: Options, progress: &Progress) -> Result<Outcome, ExperimentError> {
-    let looks = looks(options, progress)?;
+    let looks = looks(Pixel::Spot, options, progress)?;
     let mut tables = vec![];
     for bits in [8, 14] {
         for (own, exposure) in ["one exposure", "the room exposed for itself"].into_iter().enumerate() {

@@ -50,11 +50,10 @@ pub(super) fn synthetic(options: Options, progress: &Progress) -> Result<Outcome
     let walk = Walk::shoot(lab, cameras, rays, options, progress)?;
     let (session, summary) = walk.process(Subject::Object, None, true, progress)?;
     let object = evaluate(&session, &walk.truth(Subject::Object)?, progress)?;
-    let floor_of_views = evaluate(&session, &walk.truth(Subject::Floor)?, progress)?.views;
     drop(session);
     let size = (width * 4).next_power_of_two().min(1024) / 2;
-    let (session, _) = walk.process(Subject::Floor, Some(size), false, progress)?;
-    let floor = evaluate(&session, &walk.truth(Subject::Floor)?, progress)?.texture;
+    let (session, _) = walk.process(Subject::Floor, Some(size), true, progress)?;
+    let floor = evaluate(&session, &walk.truth(Subject::Floor)?, progress)?;
     tracing::debug!("the experiment's sessions were in {}", walk.folder().display());
 
     let Evaluation { views: Some(views), texture: Some(texture) } = object else {
@@ -65,13 +64,13 @@ pub(super) fn synthetic(options: Options, progress: &Progress) -> Result<Outcome
     if let Some(blocks) = &texture.blocks {
         rows.push(with("texture, object only, 4 x 4 pixels", figures(blocks), None));
     }
-    if let Some(floor) = &floor {
+    if let Some(floor) = &floor.texture {
         rows.push(with("texture, floor only", figures(&floor.full), None));
         let both = joined([&texture, floor])?;
         rows.push(with("texture, object and floor", both, Some(THESIS_TEXTURE)));
     }
     let tables = vec![
-        by_circle(&views, floor_of_views.as_ref(), stops)?,
+        by_circle(&views, floor.views.as_ref(), stops)?,
         Table { title: "Table 12.2, the texture as the cameras see it".into(), rows },
     ];
     Ok(Outcome {

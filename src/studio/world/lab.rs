@@ -1,7 +1,8 @@
 //! The stage to experiment on: the same object, lamps and sensor with other cameras, another floor or a varnish.
 
-use super::path::{Ring, Tracer};
+use super::path::{Ring, Seen, Tracer};
 use super::render::{self, Effort};
+use super::sampler::{Sampler, combine};
 use super::varnish::Varnish;
 use super::{WorldError, cache, card, sensor, stage};
 use crate::codec::dng::{self, DngContent, DngError};
@@ -12,6 +13,8 @@ use crate::raster::{Image, Rgb};
 use crate::scene::{Camera, Intrinsics, Mesh};
 use crate::units::{FNumber, Iso, Seconds};
 use glam::{DVec2, Vec3};
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 pub(in crate::studio) use super::stage::Circle;
 
@@ -48,9 +51,8 @@ pub(in crate::studio) struct Shot {
     pub(in crate::studio) object: Image<f32>,
 }
 
-impl From<render::Render> for Shot {
-    fn from(render: render::Render) -> Self {
-        let image = render.image;
+impl From<Image<Seen>> for Shot {
+    fn from(image: Image<Seen>) -> Self {
         Self {
             ambient: image.map(|s| s.ambient),
             flash: image.map(|s| s.flash),
@@ -101,7 +103,35 @@ impl Lab {
     ) -> Result<Shot, Cancelled> {
         let effort = Effort { object: rays, elsewhere, seed };
         let rows = 0..camera.intrinsics.height;
-        Ok(render::render(&self.tracer, &stage::RING, camera, effort, rows, progress)?.into())
+        Ok(render::render(&self.tracer, &stage::RING, camera, effort, rows, progress)?.image.into())
+    }
+
+    /// The same with every pixel the one spot at its centre, seen by `rays` paths: nothing is mixed in a pixel.
+    pub(in crate::studio) fn shoot_spots(
+        &self,
+        camera: &Camera,
+        rays: u32,
+        seed: u32,
+        progress: &Progress,
+    ) -> Result<Shot, Cancelled> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let eye = camera.centre().as_vec3();
+        let mut spots = vec![Seen::default(); width * height];
+        let done = AtomicUsize::new(0);
+        spots.par_chunks_mut(width).enumerate().try_for_each(|(y, row)| {
+            progress.check()?;
+            for (x, mean) in row.iter_mut().enumerate() {
+                let way = camera.ray(DVec2::new(x as f64, y as f64) + 0.5).as_vec3();
+                for index in 0..rays {
+                    let mut sampler = Sampler::new(combine(seed, (y * width + x) as u32), index);
+                    let ring = Some((&stage::RING, &camera.world_from_camera));
+                    mean.add(&self.tracer.trace(eye, way, ring, true, &mut sampler), 1.0 / rays as f32);
+                }
+            }
+            progress.report("rendering spots", done.fetch_add(1, Ordering::Relaxed) + 1, height);
+            Ok::<_, Cancelled>(())
+        })?;
+        Ok(Image::from_fn(width, height, |x, y| spots[y * width + x]).into())
     }
 
     /// Which surface (0 object, 1 floor) a pixel position shows.
@@ -125,7 +155,7 @@ impl Lab {
 pub(in crate::studio) fn stored(progress: &Progress) -> Result<Vec<(Camera, Shot)>, WorldError> {
     let cameras = stage::cameras();
     let renders = cache::load(&stage::surfaces(), &cameras, progress)?;
-    Ok(cameras.into_iter().zip(renders.into_iter().map(Shot::from)).collect())
+    Ok(cameras.into_iter().zip(renders.into_iter().map(|render| render.image.into())).collect())
 }
 
 /// Cameras of the studio's own walk.
