@@ -135,6 +135,9 @@ impl Bounces {
                 .map(|e| self.glints(e, seen.of(e)))
                 .collect();
             self.gloss[mesh] = Lobe::fit(&glints);
+            if let Some(lobe) = self.gloss[mesh] {
+                tracing::info!("mesh {mesh} is glossy: weight {:.3}, alpha {:.3}", lobe.weight, lobe.alpha);
+            }
         }
         for e in 0..elements.len() {
             if let Some(lobe) = self.gloss[elements.mesh_of(e)] {

@@ -10,15 +10,14 @@ use crate::light::Transport;
 use crate::photometry::Known;
 use crate::progress::Progress;
 use crate::raster::Rgb;
-use crate::reflectance::bounce::simulate;
+use crate::reflectance::bounce::{Bounces, ViewLight, simulate};
 use crate::reflectance::maps::view_maps;
-use crate::reflectance::observe::Lamp;
-use crate::reflectance::texture::{Solver, Stage};
+use crate::reflectance::observe::{Lamp, View};
+use crate::reflectance::texture::Stage;
 use crate::scene::Camera;
 use crate::studio::world::lab::{self, Lab, Setting, Shot};
-
-/// Side of the texture that is solved on the way to the surface elements' reflectance.
-const TEXTURE: usize = 256;
+use glam::Vec3;
+use rayon::prelude::*;
 
 /// Stops that also stand alone: a low one and a high one.
 const ALONE: [usize; 2] = [1, 9];
@@ -48,7 +47,7 @@ pub(super) fn gi(options: Options, progress: &Progress) -> Result<Outcome, Exper
             if options.quick { looks.iter().step_by(2).collect() } else { looks.iter().collect() };
         let white = vec![[1.0; 3]; stage.elements.len()];
         let none = vec![[0.0; 3]; stage.elements.len()];
-        let shared = estimate(&lab, &stage, &chosen, progress)?;
+        let shared = estimate(&stage, &transport, &chosen, progress)?;
         let mut rows: Vec<Row> = vec![];
         for (name, rho, thesis) in [
             ("bounces between white surfaces", &white, Some(THESIS_WHITE)),
@@ -60,7 +59,7 @@ pub(super) fn gi(options: Options, progress: &Progress) -> Result<Outcome, Exper
         }
         let mut alone = Both::default();
         for look in ALONE.iter().filter_map(|stop| looks.get(stop - 1)) {
-            let rho = estimate(&lab, &stage, &[look], progress)?;
+            let rho = estimate(&stage, &transport, &[look], progress)?;
             add_errors(&stage, &transport, look, &rho, &mut alone, progress)?;
         }
         rows.extend(alone.rows("bounces with our estimate, one view alone", None)?);
@@ -99,19 +98,27 @@ fn looks(stored: &[(Camera, Shot)], bits: u32) -> Result<Vec<Look>, ExperimentEr
     Ok(looks)
 }
 
-/// Reflectance of the surface elements as these views give it.
+/// Reflectance of the surface elements as these views give it, bounces simulated again and again with it.
 fn estimate(
-    lab: &Lab,
     stage: &Stage,
+    transport: &Transport,
     looks: &[&Look],
     progress: &Progress,
 ) -> Result<Vec<[f32; 3]>, ExperimentError> {
-    let mut solver = Solver::new(&lab.meshes()[0], stage, TEXTURE)
-        .map_err(crate::reflectance::texture::TextureError::from)?;
+    let elements = &stage.elements;
+    let mut views = vec![];
     for look in looks {
-        solver.add(&look.camera, &look.known, &look.lamp, progress)?;
+        progress.check()?;
+        let light = stage.illuminate(&look.camera, &look.lamp);
+        let view = View { illumination: &light, known: &look.known };
+        let seen = (0..elements.len())
+            .into_par_iter()
+            .filter(|&e| elements.normal(e) != Vec3::ZERO)
+            .filter_map(|e| Some((e as u32, view.observe(elements.centroid(e), elements.normal(e))?)))
+            .collect();
+        views.push(ViewLight { direct: stage.direct(&light), radiance: look.lamp.radiance, seen });
     }
-    Ok(solver.solve(progress)?.bounces.rho)
+    Ok(Bounces::settle(elements, transport, &views, progress)?.rho)
 }
 
 fn errors(

@@ -23,9 +23,9 @@ const VIEWS: usize = 10;
 const GRAZING: f32 = 0.2;
 
 /// Weight and width of the varnishes; none first.
-const COATS: [(f32, f32); 6] = [(0.0, 0.15), (0.05, 0.15), (0.1, 0.3), (0.2, 0.05), (0.2, 0.15), (0.2, 0.4)];
+const COATS: [(f32, f32); 5] = [(0.0, 0.15), (0.05, 0.15), (0.1, 0.25), (0.2, 0.15), (0.2, 0.4)];
 
-const QUICK_COATS: [(f32, f32); 2] = [(0.0, 0.15), (0.2, 0.3)];
+const QUICK_COATS: [(f32, f32); 2] = [(0.0, 0.15), (0.2, 0.25)];
 
 fn circles(stops: usize) -> [Circle; 3] {
     [
@@ -37,9 +37,9 @@ fn circles(stops: usize) -> [Circle; 3] {
 
 pub(super) fn varnish(options: Options, progress: &Progress) -> Result<Outcome, ExperimentError> {
     let (stops, width, rays, coats) = if options.quick {
-        (9, 120, (8, 4), QUICK_COATS.as_slice())
+        (9, 200, (4, 2), QUICK_COATS.as_slice())
     } else {
-        (12, 180, (16, 4), COATS.as_slice())
+        (12, 300, (8, 4), COATS.as_slice())
     };
     let mut rows = vec![];
     for &(weight, alpha) in coats {

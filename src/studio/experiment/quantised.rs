@@ -6,6 +6,7 @@
 
 use super::photo::{Both, Exposed, known, sum};
 use super::{ExperimentError, Options, Outcome, Row, Table};
+use crate::light::Ring;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
 use crate::reflectance::observe::{Illumination, Lamp};
@@ -19,9 +20,10 @@ use std::f64::consts::{PI, TAU};
 /// Stops of the studio's walk whose views are taken: a low one and a high one.
 const STOPS: [usize; 2] = [1, 9];
 
-/// Turns of the ring about the lens at which the irradiance is simulated and averaged: the ring is round, so each
-/// gives the same but for the samples of its shadows.
-const TURNS: usize = 8;
+/// The ring is simulated as this many rings of equal area, one inside the other, each at several turns about the
+/// lens: round as it is, each turn gives the same but for the samples of its shadows.
+const RINGS: usize = 4;
+const TURNS: usize = 6;
 
 /// Samples of a pixel's square along each side.
 const GRID: usize = 4;
@@ -57,7 +59,7 @@ fn looks(pixel: Pixel, options: Options, progress: &Progress) -> Result<Vec<Look
         let camera = &cameras[stop - 1];
         let shot = match (pixel, options.quick) {
             (Pixel::Spot, true) => lab.shoot_spots(camera, 128, options.seed, progress)?,
-            (Pixel::Spot, false) => lab.shoot_spots(camera, 1024, options.seed, progress)?,
+            (Pixel::Spot, false) => lab.shoot_spots(camera, 512, options.seed, progress)?,
             (Pixel::Square, true) => lab.shoot(camera, (32, 8), options.seed, progress)?,
             (Pixel::Square, false) => lab.shoot(camera, (256, 64), options.seed, progress)?,
         };
@@ -76,14 +78,22 @@ fn white_without_bounces(
     progress: &Progress,
 ) -> Result<Rgb, Cancelled> {
     let lamp = Exposed { scale: 1.0, bits: 1 }.lamp(1.0);
-    let (grid, turns) = if pixel == Pixel::Spot { (1, TURNS) } else { (GRID, 2) };
+    let (grid, rings, turns) = if pixel == Pixel::Spot { (1, RINGS, TURNS) } else { (GRID, 1, 2) };
+    let lamps: Vec<Lamp> = (0..rings)
+        .map(|k| {
+            let (low, high) = (lamp.ring.inner.powi(2), lamp.ring.outer.powi(2));
+            let radius = |part: usize| (low + (high - low) * part as f64 / rings as f64).sqrt();
+            Lamp { ring: Ring { inner: radius(k), outer: radius(k + 1) }, ..lamp }
+        })
+        .collect();
     let turned: Vec<Camera> = (0..turns)
         .map(|k| {
             let turn = DAffine3::from_rotation_z(TAU * (k as f64 * 0.618_033_988_749_895).fract());
             Camera { world_from_camera: camera.world_from_camera * turn, ..camera.clone() }
         })
         .collect();
-    let lights: Vec<Illumination> = turned.iter().map(|camera| stage.illuminate(camera, &lamp)).collect();
+    let lights: Vec<Illumination> =
+        turned.iter().flat_map(|camera| lamps.iter().map(|lamp| stage.illuminate(camera, lamp))).collect();
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let mut white = vec![[0.0; 3]; width * height];
     white.par_chunks_mut(width).enumerate().try_for_each(|(y, row)| {
@@ -95,7 +105,7 @@ fn white_without_bounces(
             };
             let sum: Option<f64> = (0..grid * grid).map(|k| irradiance(stage, camera, &lights, at(k))).sum();
             // A pixel that looks past all surfaces keeps 0, which is not known.
-            let unit = sum.unwrap_or(0.0) / (grid * grid) as f64;
+            let unit = sum.unwrap_or(0.0) / (grid * grid * turns) as f64;
             *value = reading(&lamp, unit);
         }
         Ok::<_, Cancelled>(())
@@ -108,13 +118,13 @@ fn reading(lamp: &Lamp, unit: f64) -> [f32; 3] {
     lamp.radiance.map(|r| (r * unit / PI) as f32)
 }
 
-/// Irradiance per unit radiance where a pixel position meets a surface, by the program's direct light.
+/// Irradiance per unit radiance of all `lights` together where a pixel position meets a surface.
 fn irradiance(stage: &Stage, camera: &Camera, lights: &[Illumination], at: DVec2) -> Option<f64> {
     let (origin, ray) = (camera.centre().as_vec3(), camera.ray(at).as_vec3());
     let hit = stage.elements.kernel().nearest(origin, ray, 0.0, f32::INFINITY)?;
     let (point, normal) = (origin + ray * hit.t, stage.elements.normal(hit.triangle as usize));
     let sum: f64 = lights.iter().map(|light| light.direct(point, normal)).sum();
-    (normal.dot(ray) < 0.0).then(|| sum / lights.len() as f64)
+    (normal.dot(ray) < 0.0).then_some(sum)
 }
 
 /// How the two photographs of one trial are taken.
@@ -178,7 +188,8 @@ pub(super) fn poc(options: Options, progress: &Progress) -> Result<Outcome, Expe
         tables,
         notes: vec![
             "The thesis's photographs have 8 bits; its figures stand beside both.".into(),
-            "Where a pixel is the mean over its square, the ratio of means is not the mean of ratios: pixels              across an edge between two surfaces part from the truth whatever the bits."
+            "Where a pixel is the mean over its square, the ratio of means is not the mean of ratios: across an \
+             edge between two surfaces it parts from the truth whatever the bits."
                 .into(),
         ],
     })

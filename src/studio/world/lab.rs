@@ -28,6 +28,9 @@ pub(in crate::studio) const CARD: f64 = card::REFLECTANCE;
 const EXPOSURE: Exposure =
     Exposure { shutter: Seconds(1.0 / 125.0), aperture: FNumber(11.0), iso: Iso(100.0) };
 
+/// Paths a spot that carry the room's light: the same in both frames of a pair, it goes out with the subtraction.
+const SPOT_ROOM_RAYS: u32 = 32;
+
 /// What is not as in the studio.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::studio) struct Setting {
@@ -122,10 +125,13 @@ impl Lab {
             progress.check()?;
             for (x, mean) in row.iter_mut().enumerate() {
                 let way = camera.ray(DVec2::new(x as f64, y as f64) + 0.5).as_vec3();
+                let room_rays = rays.min(SPOT_ROOM_RAYS);
                 for index in 0..rays {
                     let mut sampler = Sampler::new(combine(seed, (y * width + x) as u32), index);
                     let ring = Some((&stage::RING, &camera.world_from_camera));
-                    mean.add(&self.tracer.trace(eye, way, ring, true, &mut sampler), 1.0 / rays as f32);
+                    let mut seen = self.tracer.trace(eye, way, ring, index < room_rays, &mut sampler);
+                    seen.ambient = seen.ambient.map(|a| a * rays as f32 / room_rays as f32);
+                    mean.add(&seen, 1.0 / rays as f32);
                 }
             }
             progress.report("rendering spots", done.fetch_add(1, Ordering::Relaxed) + 1, height);
