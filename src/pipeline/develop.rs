@@ -4,7 +4,7 @@ use crate::calibration::FlashCalibration;
 use crate::codec::raw::RawError;
 use crate::pair::{PairRecord, Settings};
 use crate::photometry::apex::{ExposureScale, Nominal};
-use crate::photometry::{FlashGain, IsolateError, Known, demosaic, isolate};
+use crate::photometry::{FlashGain, IsolateError, Known, KnownMosaic, demosaic, isolate};
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
@@ -69,6 +69,16 @@ pub fn known_light(
     calibration: &FlashCalibration,
     gain: FlashGain,
 ) -> Result<Known, DevelopError> {
+    let sites = known_sites(session, pair, calibration)?;
+    Ok(demosaic(&sites, calibration.radiance).at_reference(gain))
+}
+
+/// The flash's own light of a pair on sensor sites, at whatever energy the pulse had.
+pub fn known_sites(
+    session: &Session,
+    pair: &PairRecord,
+    calibration: &FlashCalibration,
+) -> Result<KnownMosaic, DevelopError> {
     let folder = session.pair_dir(pair.number);
     let measured = saturation::load(session)?;
     let read = |file: &str| saturation::read(&folder.join(file), &measured);
@@ -76,7 +86,6 @@ pub fn known_light(
     let scale = exposure_ratio(&pair.on.settings, &pair.off.settings)
         .map_err(|setting| DevelopError::Lacking { name: pair.name.clone(), setting })?;
     isolate(&on?.mosaic, &off?.mosaic, scale as f32, &calibration.noise)
-        .map(|mosaic| demosaic(&mosaic, calibration.radiance).at_reference(gain))
         .map_err(|source| DevelopError::Isolate { name: pair.name.clone(), source })
 }
 

@@ -1,6 +1,6 @@
 //! `process`: a session's accepted pairs to reflectance texture, deviations, view counts and model.
 
-use super::develop::{DevelopError, known_light, lamp};
+use super::develop::{DevelopError, known_light, known_sites, lamp};
 use super::energy::{self, EnergyError, FlashAccount};
 use super::flash::{self, FlashError};
 use super::manifest::{StageManifest, digest};
@@ -320,11 +320,13 @@ fn solve_and_write(
     size: usize,
     progress: &Progress,
 ) -> Result<ProcessSummary, ProcessError> {
+    let tock = std::time::Instant::now();
     let (stage, turned) = stage(&mut scene);
-    let Some(object) = scene.meshes.first() else { return Err(SceneError::NoMesh.into()) };
-    let mut solver = Solver::new(object, &stage, size).map_err(TextureError::from)?;
+    eprintln!("staged {:?}", tock.elapsed());
+    let mut solver = Solver::new(&scene.meshes, &stage, size)?;
+    let count = inputs.matched.len();
     for (i, (pair, camera)) in inputs.matched.iter().enumerate() {
-        progress.report("looking through the views", i, inputs.matched.len());
+        progress.report("looking through the views", i, count);
         let known = known_light(session, pair, &inputs.calibration, inputs.gain(pair))?;
         let expected = (camera.intrinsics.width, camera.intrinsics.height);
         let got = (known.rgb.width(), known.rgb.height());
@@ -333,12 +335,30 @@ fn solve_and_write(
         }
         solver.add(camera, &known, &lamp(pair, &inputs.calibration)?, progress)?;
     }
-    let texture = solver.solve(progress)?;
+    eprintln!("added {:?}", tock.elapsed());
+    let tick = std::time::Instant::now();
+    let mut settled = solver.settle(progress)?;
+    eprintln!("settle {:?}", tick.elapsed());
+    for (i, (pair, camera)) in inputs.matched.iter().enumerate() {
+        progress.report("looking again, with bounces", i, count);
+        let known = known_sites(session, pair, &inputs.calibration)?;
+        let lamp = lamp(pair, &inputs.calibration)?;
+        settled.add(i, camera, &known, &lamp, inputs.gain(pair), progress)?;
+    }
+    eprintln!("looked {:?}", tick.elapsed());
+    let texture = settled.solve(inputs.calibration.noise.gain, progress)?;
+    eprintln!(
+        "solved {:?} {:?} {:?}",
+        tick.elapsed(),
+        texture.runs,
+        texture.gains.iter().map(|g| (g.value * 1e4) as i64).collect::<Vec<_>>()
+    );
     let mut summary = summarise(inputs, &texture, size);
     summary.turned = turned;
     progress.report("writing the model", 0, 1);
     write(session, &scene, inputs, &texture, &summary)?;
     super::views::keep_elements(session, &texture.bounces.rho)?;
+    eprintln!("written {:?}", tock.elapsed());
     Ok(summary)
 }
 

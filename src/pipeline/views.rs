@@ -26,6 +26,8 @@ pub fn ensure(session: &Session, progress: &Progress) -> Result<(usize, usize), 
 
 pub(super) fn keep_elements(session: &Session, rho: &[[f32; 3]]) -> Result<(), ProcessError> {
     let path = session.path().join(ELEMENTS);
+    let folder = session.derived_dir();
+    std::fs::create_dir_all(&folder).map_err(io(&folder))?;
     let bytes: Vec<u8> = rho.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
     store::write_atomic(&path, &bytes).map_err(io(&path))
 }

@@ -10,27 +10,59 @@ pub fn gaussian_radius(sigma: f32) -> usize {
 /// Convolves with a Gaussian of standard deviation `sigma` pixels, normalised, in two passes; the image is
 /// mirrored at its border. A `sigma` of 0 gives the image back.
 pub fn gaussian<const N: usize>(image: &Image<[f32; N]>, sigma: f32) -> Image<[f32; N]> {
-    let radius = gaussian_radius(sigma);
+    gaussian_each(image, [sigma; N])
+}
+
+/// The same with a `sigma` for every channel.
+pub fn gaussian_each<const N: usize>(image: &Image<[f32; N]>, sigma: [f32; N]) -> Image<[f32; N]> {
+    let radius = sigma.iter().map(|s| gaussian_radius(*s)).max().unwrap_or(0);
     if radius == 0 || image.pixels().is_empty() {
         return image.clone();
     }
-    let mut kernel: Vec<f32> =
-        (0..=2 * radius).map(|i| (-0.5 * ((i as f32 - radius as f32) / sigma).powi(2)).exp()).collect();
-    let sum: f32 = kernel.iter().sum();
-    kernel.iter_mut().for_each(|k| *k /= sum);
+    let kernel = kernel(sigma, radius);
     let (width, height) = (image.width(), image.height());
-    let convolve = |get: &dyn Fn(usize) -> [f32; N], at: usize, n: usize| {
-        let mut out = [0.0; N];
-        for (i, k) in kernel.iter().enumerate() {
-            let value = get(mirrored(at as isize + i as isize - radius as isize, n));
-            for (o, v) in out.iter_mut().zip(value) {
-                *o += k * v;
-            }
+    // Along a row every tap is one shift of a row that is continued past its ends; across rows, one row.
+    let mut rows = image.clone();
+    let mut wide = vec![[0.0; N]; width + 2 * radius];
+    for row in rows.pixels_mut().chunks_exact_mut(width) {
+        for (i, w) in wide.iter_mut().enumerate() {
+            *w = row[mirrored(i as isize - radius as isize, width)];
         }
-        out
+        row.fill([0.0; N]);
+        for (i, k) in kernel.iter().enumerate() {
+            add_times(row, &wide[i..], k);
+        }
+    }
+    let mut out = Image::filled(width, height, [0.0; N]);
+    for (y, row) in out.pixels_mut().chunks_exact_mut(width).enumerate() {
+        for (i, k) in kernel.iter().enumerate() {
+            let from = mirrored(y as isize + i as isize - radius as isize, height) * width;
+            add_times(row, &rows.pixels()[from..from + width], k);
+        }
+    }
+    out
+}
+
+/// Taps from `-radius` to `radius`, each channel's normalised.
+fn kernel<const N: usize>(sigma: [f32; N], radius: usize) -> Vec<[f32; N]> {
+    let tap = |i: usize, s: f32| {
+        let x = i as f32 - radius as f32;
+        if s > 0.0 { (-0.5 * (x / s).powi(2)).exp() } else { f32::from(u8::from(x == 0.0)) }
     };
-    let rows = Image::from_fn(width, height, |x, y| convolve(&|i| *image.at(i, y), x, width));
-    Image::from_fn(width, height, |x, y| convolve(&|i| *rows.at(x, i), y, height))
+    let mut kernel: Vec<[f32; N]> = (0..=2 * radius).map(|i| sigma.map(|s| tap(i, s))).collect();
+    let sums: [f32; N] = std::array::from_fn(|c| kernel.iter().map(|k| k[c]).sum());
+    for k in kernel.iter_mut() {
+        (0..N).for_each(|c| k[c] /= sums[c]);
+    }
+    kernel
+}
+
+fn add_times<const N: usize>(sum: &mut [[f32; N]], values: &[[f32; N]], factor: &[f32; N]) {
+    for (s, v) in sum.iter_mut().zip(values) {
+        for c in 0..N {
+            s[c] += factor[c] * v[c];
+        }
+    }
 }
 
 /// Index reflected about the edges of the first and last pixel until it lies in `0..n`.
@@ -59,6 +91,19 @@ mod tests {
         }
         assert!((sum - 1.0).abs() < 1e-6, "{sum}");
         assert!((second - 2.25).abs() < 0.01, "{second}");
+    }
+
+    #[test]
+    fn every_channel_has_its_own_spread() {
+        let mut point = Image::filled(31, 31, [0.0_f32; 3]);
+        *point.at_mut(15, 15) = [1.0; 3];
+        let together = gaussian_each(&point, [0.0, 0.8, 1.6]);
+        for (c, sigma) in [0.0, 0.8, 1.6].into_iter().enumerate() {
+            let alone = gaussian(&point, sigma);
+            for (a, b) in together.pixels().iter().zip(alone.pixels()) {
+                assert!((a[c] - b[c]).abs() < 1e-4, "{} {} at {sigma}", a[c], b[c]);
+            }
+        }
     }
 
     #[test]

@@ -12,9 +12,12 @@
 
 pub mod atlas;
 pub mod bounce;
+pub mod joint;
 pub mod maps;
 pub mod observe;
 pub mod orientation;
+pub mod project;
 pub mod robust;
 pub mod solve;
 pub mod texture;
+mod uncertainty;

@@ -91,6 +91,23 @@ impl<'a> Illumination<'a> {
         )
     }
 
+    /// Ring irradiance per unit radiance at a point with unit normal (world frame) with nothing in the way.
+    pub fn clear(&self, point: Vec3, normal: Vec3) -> f64 {
+        let local = self.camera_from_world.transform_point3(point.as_dvec3());
+        self.lamp.ring.irradiance(local, self.camera_from_world.transform_vector3(normal.as_dvec3()))
+    }
+
+    /// Share of [`Self::clear`] that shadows leave at a point with unit normal (world frame).
+    pub fn lit_share(&self, point: Vec3, normal: Vec3) -> f64 {
+        let local = self.camera_from_world.transform_point3(point.as_dvec3());
+        let facing = self.camera_from_world.transform_vector3(normal.as_dvec3());
+        if self.sight.is_free(local, facing) {
+            return 1.0;
+        }
+        let clear = self.lamp.ring.irradiance(local, facing);
+        if clear > 0.0 { self.direct(point, normal) / clear } else { 0.0 }
+    }
+
     /// Whether the camera sees a point with unit normal (world frame), and whether beside an occlusion edge.
     fn sees(&self, point: Vec3, normal: Vec3) -> Option<bool> {
         let local = self.camera_from_world.transform_point3(point.as_dvec3());

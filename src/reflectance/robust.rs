@@ -71,6 +71,11 @@ impl Lobe {
         self.weight * shape(self.alpha, facing)
     }
 
+    /// What the lobe sends to the camera where white would send `direct` by the flash and `bounced` by bounces.
+    pub fn sent(&self, facing: f32, direct: f32, bounced: f32) -> f32 {
+        self.excess(facing) * direct + KEPT * self.weight * bounced
+    }
+
     /// The reading without the gloss in the flash's direct light; what the gloss sends on of bounced light is
     /// noted in [`Observation::gloss`]. The lobe's own uncertainty joins the variance, so that readings in the
     /// midst of a highlight count for little.

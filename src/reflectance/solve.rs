@@ -92,8 +92,9 @@ fn distance(r: &Reading, rho: &[f32; 3]) -> f32 {
     (squares.sum::<f32>() / 3.0).sqrt()
 }
 
-fn tukey(distance: f32) -> f32 {
-    let x = distance / TUKEY;
+/// Tukey's biweight of a residual in standard deviations.
+pub(super) fn tukey(distance: f32) -> f32 {
+    let x = distance.abs() / TUKEY;
     if x < 1.0 { (1.0 - x * x).powi(2) } else { 0.0 }
 }
 

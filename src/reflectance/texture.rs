@@ -1,14 +1,17 @@
-//! From views to a texture: collects every view's observations, settles the bounces, solves every texel.
+//! From views to a texture: collects every view's observations of the surface elements, settles the bounces, then
+//! solves all texels at once against the sensor sites of all views ([`super::joint`]).
 //!
-//! Views are added one at a time, so that only one photograph is in memory; what stays is a few numbers a
-//! texel and view that sees it.
+//! Views are added one at a time, and looked at twice: once for the bounces, once with them.
 
 use super::atlas::{AtlasError, TexelPoint, lay_out};
-use super::bounce::{Bounces, Round, ViewLight, reading};
-use super::observe::{Illumination, Lamp, Observation, View};
-use super::solve::{Estimate, Reading, solve};
+use super::bounce::{Bounces, Round, ViewLight};
+use super::joint::{Joint, Photo, Run, solve_jointly};
+use super::observe::{Illumination, Lamp, View};
+use super::project::{Projection, Surroundings};
+use super::solve::Estimate;
+use super::uncertainty::{CELL, Cell};
 use crate::light::{Elements, Transport, interpolate};
-use crate::photometry::Known;
+use crate::photometry::{FlashGain, Known, KnownMosaic};
 use crate::progress::{Cancelled, Progress};
 use crate::raster::Image;
 use crate::scene::{Camera, Mesh};
@@ -25,9 +28,6 @@ const OFFSET: f64 = 1e-4;
 /// Rays per element for the bounces, and the bound on all of them together (4 bytes each).
 const RAYS: usize = 64;
 const MOST_RAYS: usize = 160_000_000;
-
-/// Texels per tile between two looks at the cancel flag.
-const TILE: usize = 8192;
 
 /// The texture cannot be solved.
 #[derive(Debug, thiserror::Error)]
@@ -56,6 +56,12 @@ pub struct Texture {
     pub surface: usize,
     /// How the rounds of bounces converged.
     pub rounds: Vec<Round>,
+    /// How the joint solve converged.
+    pub runs: Vec<Run>,
+    /// Energy of each view's pulse, as the texture and its measurement tell.
+    pub gains: Vec<FlashGain>,
+    /// Standard deviation of the lens's blur by channel, pixels.
+    pub blur: [f32; 3],
     /// Bounced light and reflectance on the elements.
     pub bounces: Bounces,
 }
@@ -105,25 +111,24 @@ fn diagonal(mesh: &Mesh) -> f32 {
     if low.x <= high.x { (high - low).length() } else { 0.0 }
 }
 
-/// Collects views and solves.
+/// Collects views for the bounces.
 pub struct Solver<'a> {
-    object: &'a Mesh,
+    meshes: &'a [Mesh],
     stage: &'a Stage,
     size: usize,
     points: Vec<TexelPoint>,
     lights: Vec<ViewLight>,
-    /// By view: observations by index into `points`, ascending.
-    texels: Vec<Vec<(u32, Observation)>>,
 }
 
 impl<'a> Solver<'a> {
-    /// A texture of `size` x `size` for the first mesh of `stage`.
-    pub fn new(object: &'a Mesh, stage: &'a Stage, size: usize) -> Result<Self, AtlasError> {
+    /// A texture of `size` x `size` for the first of `meshes`, of which `stage` is made.
+    pub fn new(meshes: &'a [Mesh], stage: &'a Stage, size: usize) -> Result<Self, TextureError> {
+        let object = meshes.first().ok_or(TextureError::Unseen)?;
         let points = lay_out(object, size)?;
-        Ok(Self { object, stage, size, points, lights: vec![], texels: vec![] })
+        Ok(Self { meshes, stage, size, points, lights: vec![] })
     }
 
-    /// Adds a view's observations.
+    /// Adds a view's observations of the elements.
     pub fn add(
         &mut self,
         camera: &Camera,
@@ -144,79 +149,92 @@ impl<'a> Solver<'a> {
             .filter_map(|e| Some((e as u32, observe(elements.centroid(e), elements.normal(e))?)))
             .collect();
         self.lights.push(ViewLight { direct, radiance: lamp.radiance, seen });
-        let of_texels = self
-            .points
-            .par_iter()
-            .enumerate()
-            .map(|(i, p)| {
-                if i % TILE == 0 {
-                    progress.check()?;
-                }
-                let [a, b, c] = self.object.corners(p.triangle as usize);
-                let point = a * (1.0 - p.u - p.v) + b * p.u + c * p.v;
-                let (element, _) = elements.locate(0, p.triangle as usize, p.u, p.v);
-                Ok(observe(point, elements.normal(element)).map(|o| (i as u32, o)))
-            })
-            .filter_map(Result::transpose)
-            .collect::<Result<_, Cancelled>>()?;
-        self.texels.push(of_texels);
         Ok(())
     }
 
-    /// Settles the bounces and solves every texel.
-    pub fn solve(mut self, progress: &Progress) -> Result<Texture, TextureError> {
-        if self.texels.iter().all(Vec::is_empty) {
+    /// Settles the bounces; then the views are looked at again, in the same order.
+    pub fn settle(self, progress: &Progress) -> Result<Settled<'a>, TextureError> {
+        if self
+            .lights
+            .iter()
+            .all(|v| v.seen.iter().all(|(e, _)| self.stage.elements.mesh_of(*e as usize) != 0))
+        {
             return Err(TextureError::Unseen);
         }
         let elements = &self.stage.elements;
         let transport = self.stage.transport(progress)?;
         let bounces = Bounces::settle(elements, &transport, &self.lights, progress)?;
-        for (v, texels) in self.texels.iter_mut().enumerate() {
-            progress.check()?;
-            progress.report("adding bounces", v, self.lights.len());
-            let corners = elements.smooth(&bounces.of_view(v));
-            let gloss = bounces.gloss.first().copied().flatten();
-            texels.par_iter_mut().for_each(|(i, o)| {
-                let p = &self.points[*i as usize];
-                let (element, at) = elements.locate(0, p.triangle as usize, p.u, p.v);
-                if let Some(lobe) = gloss {
-                    lobe.take_off(o);
-                }
-                let whole = reading(o, &interpolate(&corners[element], at));
-                (o.known, o.white) = (whole.known, whole.white);
-            });
+        let around =
+            Surroundings::new(self.meshes, elements, &bounces, self.size).ok_or(TextureError::Unseen)?;
+        Ok(Settled {
+            stage: self.stage,
+            size: self.size,
+            points: self.points,
+            around,
+            bounces,
+            photos: vec![],
+        })
+    }
+}
+
+/// Views with their bounces, for the texels.
+pub struct Settled<'a> {
+    stage: &'a Stage,
+    size: usize,
+    points: Vec<TexelPoint>,
+    around: Surroundings<'a>,
+    bounces: Bounces,
+    photos: Vec<Photo>,
+}
+
+impl Settled<'_> {
+    /// Adds a view's sensor sites; `index` is its place in the order of [`Solver::add`], `gain` its pulse's energy.
+    pub fn add(
+        &mut self,
+        index: usize,
+        camera: &Camera,
+        known: &KnownMosaic,
+        lamp: &Lamp,
+        gain: FlashGain,
+        progress: &Progress,
+    ) -> Result<(), Cancelled> {
+        let light = self.stage.illuminate(camera, lamp);
+        let bounced = self.bounces.of_view(index);
+        if let Some(projection) = Projection::look(&self.around, &light, &bounced, known, progress)? {
+            self.photos.push(Photo { projection, gain });
         }
-        let tiles = self.points.len().div_ceil(TILE);
-        let done = std::sync::atomic::AtomicUsize::new(0);
-        let solved: Vec<Vec<Option<Estimate>>> = (0..tiles)
-            .into_par_iter()
-            .map(|tile| {
-                progress.check()?;
-                let estimates = self.solve_tile(tile * TILE..((tile + 1) * TILE).min(self.points.len()));
-                let finished = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-                progress.report("solving texels", finished, tiles);
-                Ok(estimates)
-            })
-            .collect::<Result<_, Cancelled>>()?;
-        let mut estimates = Image::filled(self.size, self.size, None);
-        let mut filled = Image::filled(self.size, self.size, None);
-        for (p, e) in self.points.iter().zip(solved.into_iter().flatten()) {
-            estimates.pixels_mut()[p.texel as usize] = e;
-            let (element, _) = elements.locate(0, p.triangle as usize, p.u, p.v);
-            filled.pixels_mut()[p.texel as usize] = Some(e.map_or(bounces.rho[element], |e| e.rho));
-        }
-        let rounds = bounces.rounds.clone();
-        Ok(Texture { estimates, filled, surface: self.points.len(), rounds, bounces })
+        Ok(())
     }
 
-    fn solve_tile(&self, range: std::ops::Range<usize>) -> Vec<Option<Estimate>> {
-        let mut readings: Vec<Vec<Reading>> = vec![vec![]; range.len()];
-        for texels in &self.texels {
-            let first = texels.partition_point(|(i, _)| (*i as usize) < range.start);
-            for (i, o) in texels[first..].iter().take_while(|(i, _)| (*i as usize) < range.end) {
-                readings[*i as usize - range.start].push(reading(o, &[0.0; 3]));
+    /// Solves every texel; `shot_noise` is the sensor's variance per DN of light.
+    pub fn solve(self, shot_noise: f32, progress: &Progress) -> Result<Texture, TextureError> {
+        let Joint { texels, gains, blur, runs, cells } =
+            solve_jointly(&self.photos, self.start(), self.size, shot_noise, progress)?;
+        let mut estimates = Image::filled(self.size, self.size, None);
+        let mut filled = Image::filled(self.size, self.size, None);
+        for p in &self.points {
+            let rho = texels[p.texel as usize];
+            let (x, y) = (p.texel as usize % self.size, p.texel as usize / self.size);
+            let Cell { sd, views, .. } = *cells.at(x / CELL, y / CELL);
+            if views > 0 {
+                estimates.pixels_mut()[p.texel as usize] = Some(Estimate { rho, sd, views });
             }
+            filled.pixels_mut()[p.texel as usize] = Some(rho);
         }
-        readings.iter().map(|r| solve(r)).collect()
+        let rounds = self.bounces.rounds.clone();
+        let surface = self.points.len();
+        Ok(Texture { estimates, filled, surface, rounds, runs, gains, blur, bounces: self.bounces })
+    }
+
+    /// The elements' reflectance at every texel.
+    fn start(&self) -> Vec<[f32; 3]> {
+        let elements = &self.stage.elements;
+        let corners = elements.smooth(&self.bounces.rho);
+        let mut start = vec![[0.0; 3]; self.size * self.size];
+        for p in &self.points {
+            let (element, at) = elements.locate(0, p.triangle as usize, p.u, p.v);
+            start[p.texel as usize] = interpolate(&corners[element], at);
+        }
+        start
     }
 }
