@@ -7,6 +7,7 @@ mod devices;
 mod doctor;
 mod evaluate;
 mod export;
+mod experiment;
 mod flash;
 mod import;
 mod import_pairs;
@@ -93,6 +94,8 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Writes a session's model in other programs' formats and colour spaces.
     Export(export::Args),
+    /// Runs the thesis's experiments again in the simulated studio and prints both figures.
+    Experiment(experiment::Args),
     /// Looks at what cameras and flash controllers need on this machine, and says what to do; exit code 1 if
     /// anything keeps them from working.
     Doctor(doctor::Args),
@@ -125,6 +128,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
         Command::Process(args) => process::run(&args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Export(args) => export::run(args),
+        Command::Experiment(args) => experiment::run(args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Flash(what) => flash::run(&what),
         Command::Openapi => openapi::run(),

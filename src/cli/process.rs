@@ -69,6 +69,16 @@ pub(super) fn run(args: &Args) -> CliResult {
         summary.median_deviation,
         n = summary.texture_size
     );
+    let [r, g, b] = summary.blur;
+    println!("the lens blurs by {r:.2}, {g:.2}, {b:.2} pixels (standard deviation; red, green, blue)");
+    for (mesh, lobe) in summary.gloss.iter().enumerate() {
+        if let Some(lobe) = lobe {
+            println!("mesh {} is glossy: {:.1} % of the light, GGX width {:.2}; taken off", mesh + 1, 100.0 * lobe.weight, lobe.alpha);
+        }
+    }
+    for cost in summary.costs.iter().filter(|_| !summary.up_to_date) {
+        println!("{:<32} {:>7.1} s {:>7.1} CPU-s", cost.stage, cost.wall, cost.cpu);
+    }
     for (i, round) in summary.rounds.iter().enumerate() {
         println!("bounces, round {}: reflectance moved by {:.5} on average", i + 1, round.mean_change);
     }

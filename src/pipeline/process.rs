@@ -4,6 +4,7 @@ use super::develop::{DevelopError, known_light, known_sites, lamp};
 use super::energy::{self, EnergyError, FlashAccount};
 use super::flash::{self, FlashError};
 use super::manifest::{StageManifest, digest};
+use super::cost::{Cost, Costs};
 use super::report::{self, Told};
 use super::scene::{self, SceneError};
 use super::uvs;
@@ -21,6 +22,7 @@ use crate::reflectance::bounce::Round;
 use crate::reflectance::joint::Run;
 use crate::reflectance::orientation::face_cameras;
 use crate::reflectance::range::OutOfRange;
+use crate::reflectance::robust::Lobe;
 use crate::reflectance::texture::{Solver, Stage, Texture, TextureError};
 use crate::reflectance::unwrap::{UnwrapError, UvChoice, UvSource};
 use crate::scene::{Camera, Mesh, Scene};
@@ -75,6 +77,10 @@ pub struct ProcessSummary {
     pub gains: BTreeMap<String, FlashGain>,
     /// Standard deviation of the lens's blur by channel, pixels, as the photographs tell.
     pub blur: [f32; 3],
+    /// What each stage took.
+    pub costs: Vec<Cost>,
+    /// Gloss found on each mesh of the scene, in its order, and taken off.
+    pub gloss: Vec<Option<Lobe>>,
     /// Meshes whose winding was turned, because the cameras saw them from behind.
     pub turned: Vec<String>,
     /// Where texture coordinates were asked to come from.
@@ -365,9 +371,9 @@ fn solve_and_write(
     size: usize,
     progress: &Progress,
 ) -> Result<ProcessSummary, ProcessError> {
-    let tock = std::time::Instant::now();
+    let mut costs = Costs::begin();
     let (stage, turned) = stage(&mut scene);
-    eprintln!("staged {:?}", tock.elapsed());
+    costs.done("scene and ray kernel");
     let mut solver = Solver::new(&scene.meshes, &stage, size)?;
     let count = inputs.matched.len();
     for (i, (pair, camera)) in inputs.matched.iter().enumerate() {
@@ -380,24 +386,18 @@ fn solve_and_write(
         }
         solver.add(camera, &known, &lamp(pair, &inputs.calibration)?, progress)?;
     }
-    eprintln!("added {:?}", tock.elapsed());
-    let tick = std::time::Instant::now();
+    costs.done("raws, direct light, first look");
     let mut settled = solver.settle(progress)?;
-    eprintln!("settle {:?}", tick.elapsed());
+    costs.done("bounces");
     for (i, (pair, camera)) in inputs.matched.iter().enumerate() {
         progress.report("looking again, with bounces", i, count);
         let known = known_sites(session, pair, &inputs.calibration)?;
         let lamp = lamp(pair, &inputs.calibration)?;
         settled.add(i, camera, &known, &lamp, inputs.gain(pair), progress)?;
     }
-    eprintln!("looked {:?}", tick.elapsed());
+    costs.done("raws, second look");
     let texture = settled.solve(inputs.calibration.noise.gain, progress)?;
-    eprintln!(
-        "solved {:?} {:?} {:?}",
-        tick.elapsed(),
-        texture.runs,
-        texture.gains.iter().map(|g| (g.value * 1e4) as i64).collect::<Vec<_>>()
-    );
+    costs.done("texels");
     let mut summary = summarise(inputs, &texture, size);
     summary.turned = turned;
     progress.report("writing the model", 0, 1);
@@ -406,7 +406,11 @@ fn solve_and_write(
     }
     write(session, &scene, inputs, &texture, &summary)?;
     super::views::keep_elements(session, &texture.bounces.rho)?;
-    eprintln!("written {:?}", tock.elapsed());
+    costs.done("writing");
+    summary.costs = costs.list;
+    let path = session.model_dir().join("summary.json");
+    let bytes = serde_json::to_vec_pretty(&summary).map_err(std::io::Error::other).map_err(io(&path))?;
+    store::write_atomic(&path, &bytes).map_err(io(&path))?;
     Ok(summary)
 }
 
@@ -436,6 +440,8 @@ fn summarise(inputs: &Inputs, texture: &Texture, size: usize) -> ProcessSummary 
             .zip(texture.gains.iter().copied())
             .collect(),
         blur: texture.blur,
+        gloss: texture.bounces.gloss.clone(),
+        costs: vec![],
         turned: vec![],
         uv_choice: inputs.uvs.0,
         uvs: inputs.uvs.1.clone(),
@@ -491,9 +497,6 @@ fn write(
     })?;
     let path = model.join("model.glb");
     store::write_atomic(&path, &glb).map_err(io(&path))?;
-    let path = model.join("summary.json");
-    let bytes = serde_json::to_vec_pretty(summary).map_err(std::io::Error::other).map_err(io(&path))?;
-    store::write_atomic(&path, &bytes).map_err(io(&path))?;
     let report = report::html(&Told {
         manifest: &session.manifest(),
         calibration: &inputs.calibration,

@@ -79,11 +79,11 @@ pub(super) fn make(
     if rho.len() != stage.elements.len() {
         return Err(ProcessError::Stale(rho_file));
     }
+    let summary = super::process::stored(session).ok_or_else(|| ProcessError::Stale(rho_file.clone()))?;
     let (texels, size) = texels(session)?;
-    let Some(around) = Surroundings::new(&scene.meshes, &stage.elements, &rho, size) else {
+    let Some(around) = Surroundings::new(&scene.meshes, &stage.elements, &rho, &summary.gloss, size) else {
         return Err(ProcessError::Stale(rho_file));
     };
-    let summary = super::process::stored(session).ok_or_else(|| ProcessError::Stale(rho_file.clone()))?;
     let made = missing.len();
     for (i, (pair, camera)) in missing.into_iter().enumerate() {
         progress.report("per-view images", i, made);

@@ -5,6 +5,7 @@
 //! none too bright; with the estimate put back in, both errors shrink round by round.
 
 use super::observe::Observation;
+use super::robust::{Glint, Lobe};
 use super::solve::{Reading, solve};
 use crate::light::{Elements, Transport};
 use crate::progress::{Cancelled, Progress};
@@ -24,6 +25,12 @@ const MOST_BOUNCES: usize = 40;
 /// Transport loses no energy of its own, so a reflectance at or above one would grow without end.
 const MOST_REFLECTANCE: f32 = 0.97;
 
+/// Relative error of a reading beside noise when the gloss is looked for: texture within an element, pose, mesh.
+const SCATTER: f32 = 0.03;
+
+/// Readings in less direct light than this share of a point's brightest tell no gloss.
+const LIT: f32 = 0.1;
+
 /// How far one round moved the estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Round {
@@ -40,6 +47,8 @@ pub struct Bounces {
     pub rho: Vec<[f32; 3]>,
     /// What each round changed.
     pub rounds: Vec<Round>,
+    /// The gloss of each mesh, where one was found: to be taken off every observation of it.
+    pub gloss: Vec<Option<Lobe>>,
 }
 
 /// What one view gives: the flash's irradiance per unit radiance on every element, its radiance per channel
@@ -62,30 +71,98 @@ impl Bounces {
         progress: &Progress,
     ) -> Result<Self, Cancelled> {
         let width = 3 * views.len();
-        let seen = by_element(elements.len(), views);
+        let mut seen = by_element(elements.len(), views);
+        let meshes = (0..elements.len()).map(|e| elements.mesh_of(e) + 1).max().unwrap_or(0);
         let mut state = Self {
             views: views.len(),
             irradiance: vec![0.0; elements.len() * width],
             rho: vec![],
             rounds: vec![],
+            gloss: vec![None; meshes],
         };
         state.rho = state.solve_elements(elements, &seen);
+        state.iterate(elements, transport, views, &seen, progress)?;
+        if state.find_gloss(elements, &mut seen, progress)? {
+            state.rho = state.solve_elements(elements, &seen);
+            state.iterate(elements, transport, views, &seen, progress)?;
+        }
+        Ok(state)
+    }
+
+    /// Rounds of simulating and solving.
+    fn iterate(
+        &mut self,
+        elements: &Elements,
+        transport: &Transport,
+        views: &[ViewLight],
+        seen: &Seen,
+        progress: &Progress,
+    ) -> Result<(), Cancelled> {
+        let state = self;
+        let width = 3 * views.len();
         for round in 0..MOST_ROUNDS {
             progress.report("bounces, round", round, MOST_ROUNDS);
             // The later rounds go on from the earlier ones' light.
             let mut irradiance = std::mem::take(&mut state.irradiance);
-            let emit = |bounced: &[f32], exitance: &mut [f32]| state.emit(views, bounced, exitance);
+            let emit =
+                |bounced: &[f32], exitance: &mut [f32]| state.emit(elements, views, bounced, exitance);
             transport.settle(width, &mut irradiance, (SETTLED, MOST_BOUNCES), emit, progress)?;
             state.irradiance = irradiance;
-            let next = state.solve_elements(elements, &seen);
-            let change = mean_change(elements, &seen, &state.rho, &next);
+            let next = state.solve_elements(elements, seen);
+            let change = mean_change(elements, seen, &state.rho, &next);
             state.rho = next;
             state.rounds.push(Round { mean_change: change });
             if change < STILL {
                 break;
             }
         }
-        Ok(state)
+        Ok(())
+    }
+
+    /// Looks for a gloss on each mesh and takes it off what was seen of it; tells whether there is any.
+    fn find_gloss(
+        &mut self,
+        elements: &Elements,
+        seen: &mut Seen,
+        progress: &Progress,
+    ) -> Result<bool, Cancelled> {
+        for mesh in 0..self.gloss.len() {
+            progress.check()?;
+            let glints: Vec<Vec<Glint>> = (0..elements.len())
+                .into_par_iter()
+                .filter(|&e| elements.mesh_of(e) == mesh)
+                .map(|e| self.glints(e, seen.of(e)))
+                .collect();
+            self.gloss[mesh] = Lobe::fit(&glints);
+            if let Some(lobe) = self.gloss[mesh] {
+                tracing::info!("mesh {mesh} is glossy: weight {:.3}, alpha {:.3}", lobe.weight, lobe.alpha);
+            }
+        }
+        for e in 0..elements.len() {
+            if let Some(lobe) = self.gloss[elements.mesh_of(e)] {
+                let (from, to) = (seen.starts[e] as usize, seen.starts[e + 1] as usize);
+                seen.list[from..to].iter_mut().for_each(|(_, o)| lobe.take_off(o));
+            }
+        }
+        Ok(self.gloss.iter().any(Option::is_some))
+    }
+
+    /// An element's readings, bounced light taken off by the present estimate.
+    fn glints(&self, element: usize, seen: &[(u16, Observation)]) -> Vec<Glint> {
+        let brightest = seen.iter().map(|(_, o)| o.white[1]).fold(0.0, f32::max);
+        let glint = |(view, o): &(u16, Observation)| {
+            let at = 3 * (element * self.views + usize::from(*view));
+            let (mut ratio, mut variance) = (0.0, 0.0);
+            for c in 0..3 {
+                let rho = self.rho[element][c];
+                ratio += (o.known[c] - rho * o.response * self.irradiance[at + c]) / o.white[c] / 3.0;
+                let scatter = SCATTER * rho * o.white[c];
+                variance += (o.variance[c] + scatter * scatter) / (3.0 * o.white[c]).powi(2);
+            }
+            Glint { ratio, weight: variance.recip(), facing: o.facing }
+        };
+        let lit = seen.iter().filter(|(_, o)| o.white.iter().all(|&m| m > LIT * brightest && m > 0.0));
+        lit.map(glint).filter(|g| g.ratio.is_finite() && g.weight.is_finite() && g.weight > 0.0).collect()
     }
 
     /// Irradiance by bounces on every element for one view, DN.
@@ -97,13 +174,16 @@ impl Bounces {
     }
 
     /// Exitance rho (D + E) of every element for every view.
-    fn emit(&self, views: &[ViewLight], irradiance: &[f32], exitance: &mut [f32]) {
+    fn emit(&self, elements: &Elements, views: &[ViewLight], irradiance: &[f32], exitance: &mut [f32]) {
         let width = 3 * self.views;
+        let gloss: Vec<f32> = self.gloss.iter().map(|g| g.map_or(0.0, |lobe| lobe.weight)).collect();
         exitance.par_chunks_mut(width).zip(irradiance.par_chunks(width)).enumerate().for_each(
             |(e, (out, bounced))| {
                 for (v, view) in views.iter().enumerate() {
                     for c in 0..3 {
-                        let rho = self.rho[e][c].clamp(0.0, MOST_REFLECTANCE);
+                        // What a gloss throws on others goes all ways on the whole, as from paint.
+                        let sent = self.rho[e][c] + gloss[elements.mesh_of(e)];
+                        let rho = sent.clamp(0.0, MOST_REFLECTANCE);
                         let light = view.direct[e] * view.radiance[c] as f32 + bounced[3 * v + c];
                         out[3 * v + c] = rho * light;
                     }
@@ -172,7 +252,8 @@ pub fn simulate(
 /// The observation with bounced irradiance (DN) added to what white would have read.
 pub fn reading(o: &Observation, bounced: &[f32; 3]) -> Reading {
     let white = std::array::from_fn(|c| o.white[c] + o.response * bounced[c]);
-    Reading { known: o.known, variance: o.variance, white, resolution: o.resolution }
+    let known = std::array::from_fn(|c| o.known[c] - o.gloss * o.response * bounced[c]);
+    Reading { known, variance: o.variance, white, resolution: o.resolution }
 }
 
 /// Observations sorted by element.

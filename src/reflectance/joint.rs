@@ -99,7 +99,7 @@ pub fn solve_jointly(
 ) -> Result<Joint, Cancelled> {
     let mut gains: Vec<FlashGain> = photos.iter().map(|p| p.gain).collect();
     let mut texels = start.clone();
-    let mut blur = [std::env::var("BLUR").ok().and_then(|b| b.parse().ok()).unwrap_or(FIRST_BLUR); 3];
+    let mut blur = [FIRST_BLUR; 3];
     let (mut runs, mut done) = (vec![], 0);
     for (steps, lens) in RUNS {
         let state = State { photos, gains: &gains, blur, shot_noise };
@@ -125,7 +125,6 @@ pub fn solve_jointly(
             .map(|(a, b)| (0..3).map(|c| f64::from(a[c] - b[c]).powi(2)).sum::<f64>() / 3.0)
             .sum();
         runs.push(Run { misfit, change: (moved / n).sqrt(), blur });
-        eprintln!("{:?}", runs.last());
     }
     progress.report("telling the error", 0, 1);
     let state = State { photos, gains: &gains, blur, shot_noise };
@@ -467,9 +466,9 @@ impl<'a> System<'a> {
                 r[c] -= length[c] as f32 * m[c];
             }
         }
-        for c in 0..3 {
-            self.blur[c] += length[c] * self.lens.direction[c];
-            self.lens.residual[c] += length[c] * part.lens[c];
+        for (c, length) in length.into_iter().enumerate() {
+            self.blur[c] += length * self.lens.direction[c];
+            self.lens.residual[c] += length * part.lens[c];
         }
         let (z, lens_z) = self.conditioned();
         let next = self.product(&z, &lens_z);

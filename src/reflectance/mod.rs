@@ -6,6 +6,7 @@
 //! ([`observe`], [`solve`]). Bounced light depends on rho: [`bounce`] simulates it with the estimate so far and
 //! solves again until it stands still. [`atlas`] lays the points out in the texture, for which [`unwrap`] makes
 //! coordinates where the mesh has none, [`maps`] gives the
+//! solves again until it stands still; [`robust`] finds the gloss that all points share and takes it off. [`atlas`] lays the points out in the texture, [`maps`] gives the
 //! per-view images for those who texture elsewhere.
 //!
 //! Units: light in DN of the sensor, so that the lamp's calibrated radiance is all that ties them together;
@@ -19,6 +20,7 @@ pub mod observe;
 pub mod orientation;
 pub mod project;
 pub mod range;
+pub mod robust;
 pub mod solve;
 pub mod texture;
 mod uncertainty;

@@ -5,6 +5,7 @@ use crate::light::{Elements, Ring, Sight};
 use crate::photometry::Known;
 use crate::scene::Camera;
 use glam::{DAffine3, DVec2, Vec3};
+use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// Least cosine between normal and direction to the camera: beyond it (84 degrees) a pixel's footprint is
@@ -39,6 +40,10 @@ pub struct Observation {
     pub resolution: f32,
     /// Factor from irradiance (DN) to reading: field factor / pi. Bounced light enters `white` through it.
     pub response: f32,
+    /// Cosine between normal and direction to the camera.
+    pub facing: f32,
+    /// Share of bounced light that a gloss sends on beside the paint; 0 where none was found.
+    pub gloss: f32,
 }
 
 /// A camera and its flash before the scene: what light falls where, before anyone looks at a photograph.
@@ -150,6 +155,18 @@ pub struct View<'a> {
 }
 
 impl View<'_> {
+    /// The view's looks at all elements that it sees, by index, in `direct` light (irradiance per unit radiance).
+    pub fn observe_elements(&self, elements: &Elements, direct: &[f32]) -> Vec<(u32, Observation)> {
+        (0..elements.len())
+            .into_par_iter()
+            .filter(|&e| elements.normal(e) != Vec3::ZERO)
+            .filter_map(|e| {
+                let look = self.observe(elements.centroid(e), elements.normal(e), direct[e])?;
+                Some((e as u32, look))
+            })
+            .collect()
+    }
+
     /// The view's look at a point (metres, world) with unit normal in `direct` light (irradiance per unit radiance);
     /// `None` where it does not see it, sees it at a grazing angle, or clipped.
     pub fn observe(&self, point: Vec3, normal: Vec3, direct: f32) -> Option<Observation> {
@@ -171,7 +188,8 @@ impl View<'_> {
         let focal = camera.intrinsics.focal;
         let resolution = focal.x * focal.y * normal.as_dvec3().dot(way) / (depth * depth * depth);
         let (resolution, response) = (resolution as f32, response as f32);
-        Some(Observation { known, variance, white, resolution, response })
+        let facing = (normal.as_dvec3().dot(way) / way.length()) as f32;
+        Some(Observation { known, variance, white, resolution, response, facing, gloss: 0.0 })
     }
 
     /// Reading of the known light between pixels: cubic convolution, which does not blur as bilinear does;

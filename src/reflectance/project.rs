@@ -14,6 +14,7 @@
 //! resolution by image registration", 1991, for the idea of solving in the scene for what blurred images show.)
 
 use super::observe::Illumination;
+use super::robust::Lobe;
 use crate::light::{Elements, RayKernel, interpolate};
 use crate::photometry::KnownMosaic;
 use crate::progress::{Cancelled, Progress};
@@ -66,12 +67,21 @@ pub struct Surroundings<'a> {
     elements: &'a Elements,
     /// Reflectance of the elements, smooth.
     rho: Vec<[[f32; 3]; 3]>,
+    /// Gloss of each mesh, where one was found; its light is `other` light.
+    gloss: Vec<Option<Lobe>>,
     size: usize,
 }
 
 impl<'a> Surroundings<'a> {
-    /// Meshes (the object first), the elements made of them with their reflectance, and the texture's side.
-    pub fn new(meshes: &'a [Mesh], elements: &'a Elements, rho: &[[f32; 3]], size: usize) -> Option<Self> {
+    /// Meshes (the object first), the elements made of them with their reflectance and gloss, and the texture's
+    /// side.
+    pub fn new(
+        meshes: &'a [Mesh],
+        elements: &'a Elements,
+        rho: &[[f32; 3]],
+        gloss: &[Option<Lobe>],
+        size: usize,
+    ) -> Option<Self> {
         let object = meshes.first()?;
         let (mut corners, mut owners) = (vec![], vec![]);
         for (m, mesh) in meshes.iter().enumerate() {
@@ -81,7 +91,8 @@ impl<'a> Surroundings<'a> {
             }
         }
         let kernel = RayKernel::build(corners);
-        Some(Self { object, kernel, owners, elements, rho: elements.smooth(rho), size })
+        let rho = elements.smooth(rho);
+        Some(Self { object, kernel, owners, elements, rho, gloss: gloss.to_vec(), size })
     }
 }
 
@@ -340,6 +351,12 @@ fn row(
             let bounce = interpolate(&bounced[element], at);
             let white: [f32; 3] =
                 std::array::from_fn(|c| ((lamp.radiance[c] * unit + f64::from(bounce[c])) * response) as f32);
+            if let Some(lobe) = around.gloss[met.mesh as usize] {
+                for (c, (other, bounce)) in out.other[x].iter_mut().zip(bounce).enumerate() {
+                    let direct = lamp.radiance[c] * unit * response;
+                    *other += lobe.sent(met.facing, direct as f32, bounce * response as f32);
+                }
+            }
             let place = if met.mesh == 0 { place(around, met.triangle as usize, met.uv) } else { None };
             match place {
                 Some((texel, at)) => {

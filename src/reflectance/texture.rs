@@ -143,14 +143,7 @@ impl<'a> Solver<'a> {
         progress.check()?;
         let direct = self.stage.direct(&light);
         progress.check()?;
-        let seen = (0..elements.len())
-            .into_par_iter()
-            .filter(|&e| elements.normal(e) != Vec3::ZERO)
-            .filter_map(|e| {
-                let look = view.observe(elements.centroid(e), elements.normal(e), direct[e])?;
-                Some((e as u32, look))
-            })
-            .collect();
+        let seen = view.observe_elements(elements, &direct);
         self.lights.push(ViewLight { direct, radiance: lamp.radiance, seen });
         Ok(())
     }
@@ -168,7 +161,7 @@ impl<'a> Solver<'a> {
         let transport = self.stage.transport(progress)?;
         let bounces = Bounces::settle(elements, &transport, &self.lights, progress)?;
         let around =
-            Surroundings::new(self.meshes, elements, &bounces.rho, self.size).ok_or(TextureError::Unseen)?;
+            Surroundings::new(self.meshes, elements, &bounces.rho, &bounces.gloss, self.size).ok_or(TextureError::Unseen)?;
         Ok(Settled {
             stage: self.stage,
             size: self.size,

@@ -8,6 +8,7 @@
 mod blank;
 mod board;
 pub mod camera;
+pub mod experiment;
 pub mod truth;
 mod wires;
 pub mod world;

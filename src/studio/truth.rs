@@ -89,6 +89,11 @@ pub fn export(folder: &Path, progress: &Progress) -> Result<Exported, TruthError
     })
 }
 
+/// Writes cameras (at least one, of one lens) as BlocksExchange XML.
+pub(super) fn write_cameras(path: &Path, cameras: &[Camera]) -> std::io::Result<()> {
+    std::fs::write(path, blocks_exchange(cameras))
+}
+
 fn write_text(path: &Path, text: &str) -> Result<(), TruthError> {
     std::fs::write(path, text).map_err(|source| TruthError::Io { path: path.to_owned(), source })
 }

@@ -51,6 +51,7 @@ impl Reference {
                         .collect(),
                 },
                 emission: [0.0; 3],
+                varnish: None,
             })
             .collect();
         let ring = Ring { inner: radii[0] as f32, outer: radii[1] as f32, radiance: [1.0; 3] };
@@ -117,7 +118,7 @@ impl Reference {
         mean: &mut Light,
     ) {
         let pose = &camera.world_from_camera;
-        let direct = self.tracer.light_of_ring(point, normal, &self.ring, pose, sampler.next());
+        let (direct, _) = self.tracer.light_of_ring(point, normal, &self.ring, pose, sampler.next());
         mean.direct += f64::from(direct) / rays;
         if bounces {
             let direction = cosine_direction(normal, sampler.next());

@@ -15,15 +15,18 @@ mod card;
 mod glaze;
 pub mod irradiance;
 mod known;
+pub(super) mod lab;
 mod patch;
 mod path;
 mod render;
 mod sampler;
 mod sensor;
 mod stage;
+mod varnish;
 
 pub use cache::{SOURCE_FOLDER, StoredStop, renew};
 pub use known::{Known, KnownView, known};
+pub(super) use varnish::Varnish;
 
 use super::wires::{SyncContact, View};
 use crate::codec::dng::{self, DngContent};

@@ -8,9 +8,13 @@
 //! the code that later inverts the photographs but the ray kernel.
 //!
 //! Lamps and ring give light but have no body: rays pass through them, and no path meets them by chance.
+//!
+//! A surface may carry a [`Varnish`]; its paths then go on along either lobe, weighed by the density of both
+//! together (Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997, one-sample form).
 
 use super::patch::Texture;
 use super::sampler::Sampler;
+use super::varnish::Varnish;
 use crate::light::RayKernel;
 use crate::scene::Mesh;
 use glam::{DAffine3, Vec2, Vec3};
@@ -18,6 +22,9 @@ use std::f32::consts::{PI, TAU};
 
 /// Changes whenever the tracer computes something else from the same scene.
 pub(super) const VERSION: &str = "path 1";
+
+/// Off the facet by more than rounding, less than anything that matters; metres.
+const LIFT: f32 = 2e-6;
 
 /// Bounces before Russian roulette begins.
 const SURE_BOUNCES: usize = 6;
@@ -31,6 +38,8 @@ pub(super) struct Surface {
     pub(super) reflectance: Texture,
     /// Radiance that the surface gives off by itself, camera RGB.
     pub(super) emission: [f32; 3],
+    /// Gloss on top of it.
+    pub(super) varnish: Option<Varnish>,
 }
 
 /// A glowing sphere, seen by surfaces only.
@@ -104,6 +113,7 @@ pub(super) struct Tracer {
     surfaces: Vec<Surface>,
     lamps: Vec<Lamp>,
     glow: [f32; 3],
+    bounces: bool,
 }
 
 impl Tracer {
@@ -122,14 +132,29 @@ impl Tracer {
                 });
             }
         }
-        Self { kernel: RayKernel::build(corners), facets, surfaces, lamps, glow }
+        Self { kernel: RayKernel::build(corners), facets, surfaces, lamps, glow, bounces: true }
+    }
+
+    /// The same scene without light that one surface throws on another.
+    pub(super) fn without_bounces(self) -> Self {
+        Self { bounces: false, ..self }
+    }
+
+    /// Index of the surface that is the first thing along a ray.
+    pub(super) fn surface_met(&self, origin: Vec3, direction: Vec3) -> Option<usize> {
+        let hit = self.kernel.nearest(origin, direction, 0.0, f32::INFINITY)?;
+        Some(self.facets[hit.triangle as usize].surface)
     }
 
     /// Whether the object (the first surface) is the first thing along a ray.
     pub(super) fn meets_object(&self, origin: Vec3, direction: Vec3) -> bool {
-        self.kernel
-            .nearest(origin, direction, 0.0, f32::INFINITY)
-            .is_some_and(|hit| self.facets[hit.triangle as usize].surface == 0)
+        self.surface_met(origin, direction) == Some(0)
+    }
+
+    /// Whether nothing lies between two points; the first is on a surface with unit `normal`.
+    pub(super) fn is_open(&self, from: Vec3, normal: Vec3, to: Vec3) -> bool {
+        let start = from + normal * LIFT;
+        !self.kernel.occluded(start, to - start, 0.0, 1.0)
     }
 
     /// The first thing along a ray.
@@ -162,6 +187,9 @@ impl Tracer {
                 }
                 break;
             };
+            if bounce > 0 && !self.bounces {
+                break;
+            }
             let facet = &self.facets[hit.triangle as usize];
             let surface = &self.surfaces[facet.surface];
             if room {
@@ -170,32 +198,37 @@ impl Tracer {
             let [a, b, c] = self.kernel.corners(hit.triangle);
             let w = 1.0 - hit.u - hit.v;
             let normal = if facet.normal.dot(direction) > 0.0 { -facet.normal } else { facet.normal };
-            // Off the facet by more than rounding, less than anything that matters.
-            let point = *a * w + *b * hit.u + *c * hit.v + normal * 2e-6;
+            let point = *a * w + *b * hit.u + *c * hit.v + normal * LIFT;
             let uv = facet.uvs[0] * w + facet.uvs[1] * hit.u + facet.uvs[2] * hit.v;
             let albedo = surface.reflectance.at(uv);
             if bounce == 0 {
                 seen.albedo = albedo;
                 seen.object = if facet.surface == 0 { 1.0 } else { 0.0 };
             }
+            let gloss = surface.varnish.map(|varnish| Gloss { varnish, normal, to_eye: -direction });
+            // What the lobe sends on from a direction, in the same units as the base's albedo.
+            let shine = |way: Vec3| gloss.map_or(0.0, |g| PI * g.value(way));
+            let before = throughput;
             for k in 0..3 {
                 throughput[k] *= albedo[k];
             }
             if let Some((ring, pose)) = ring {
-                let light = self.light_of_ring(point, normal, ring, pose, sampler.next());
+                let (light, way) = self.light_of_ring(point, normal, ring, pose, sampler.next());
                 accumulate(&mut seen.flash, &throughput, &ring.radiance, light / PI);
+                if gloss.is_some() && light > 0.0 {
+                    accumulate(&mut seen.flash, &before, &ring.radiance, light * shine(way) / PI);
+                }
             }
             if room && !self.lamps.is_empty() {
                 let choice = sampler.next().x;
                 let lamp =
                     &self.lamps[((choice * self.lamps.len() as f32) as usize).min(self.lamps.len() - 1)];
-                let light = self.light_of_lamp(point, normal, lamp, sampler.next());
-                accumulate(
-                    &mut seen.ambient,
-                    &throughput,
-                    &lamp.radiance,
-                    light * self.lamps.len() as f32 / PI,
-                );
+                let (light, way) = self.light_of_lamp(point, normal, lamp, sampler.next());
+                let light = light * self.lamps.len() as f32 / PI;
+                accumulate(&mut seen.ambient, &throughput, &lamp.radiance, light);
+                if gloss.is_some() && light > 0.0 {
+                    accumulate(&mut seen.ambient, &before, &lamp.radiance, light * shine(way));
+                }
             }
             if bounce >= SURE_BOUNCES {
                 let survival = throughput.iter().copied().fold(0.0, f32::max).min(1.0);
@@ -205,12 +238,23 @@ impl Tracer {
                 throughput = throughput.map(|t| t / survival);
             }
             origin = point;
-            direction = cosine_direction(normal, sampler.next());
+            direction = match gloss {
+                None => cosine_direction(normal, sampler.next()),
+                Some(gloss) => {
+                    let Some((way, factor)) = gloss.go_on(&albedo, sampler) else { break };
+                    for k in 0..3 {
+                        // Russian roulette has scaled what the base alone would carry on.
+                        let roulette = if albedo[k] > 0.0 { throughput[k] / albedo[k] } else { 0.0 };
+                        throughput[k] = roulette * factor[k];
+                    }
+                    way
+                }
+            };
         }
         seen
     }
 
-    /// One estimate of the irradiance at a point from a ring of unit radiance.
+    /// One estimate of the irradiance at a point from a ring of unit radiance, and the unit way to its source.
     pub(super) fn light_of_ring(
         &self,
         point: Vec3,
@@ -218,7 +262,7 @@ impl Tracer {
         ring: &Ring,
         pose: &DAffine3,
         u: Vec2,
-    ) -> f32 {
+    ) -> (f32, Vec3) {
         let (inner, outer) = (ring.inner * ring.inner, ring.outer * ring.outer);
         let radius = (inner + u.x * (outer - inner)).sqrt();
         let (sin, cos) = (TAU * u.y).sin_cos();
@@ -231,17 +275,18 @@ impl Tracer {
         // Both cosines times the distance.
         let (here, there) = (normal.dot(way), -axis.dot(way));
         if here <= 0.0 || there <= 0.0 || self.kernel.occluded(point, way, 0.0, 1.0) {
-            return 0.0;
+            return (0.0, way);
         }
-        here * there * PI * (outer - inner) / (square * square)
+        (here * there * PI * (outer - inner) / (square * square), way / square.sqrt())
     }
 
-    /// One estimate of the irradiance at a point from a lamp of unit radiance, sampled over the cone that it fills.
-    fn light_of_lamp(&self, point: Vec3, normal: Vec3, lamp: &Lamp, u: Vec2) -> f32 {
+    /// One estimate of the irradiance at a point from a lamp of unit radiance, sampled over the cone that it fills,
+    /// and the unit way to its source.
+    fn light_of_lamp(&self, point: Vec3, normal: Vec3, lamp: &Lamp, u: Vec2) -> (f32, Vec3) {
         let way = lamp.centre - point;
         let distance = way.length();
         if distance <= lamp.radius {
-            return 0.0;
+            return (0.0, way);
         }
         let sin_square = (lamp.radius / distance).powi(2);
         let opening = sin_square / (1.0 + (1.0 - sin_square).sqrt());
@@ -253,15 +298,47 @@ impl Tracer {
         let direction = axis * (1.0 - lowered) + (side * cos + other * sin) * across;
         let here = normal.dot(direction);
         if here <= 0.0 {
-            return 0.0;
+            return (0.0, direction);
         }
         let along = distance * (1.0 - lowered);
         let depth = lamp.radius.powi(2) - (distance * across).powi(2);
         let reach = along - depth.max(0.0).sqrt();
         if self.kernel.occluded(point, direction, 0.0, reach) {
-            return 0.0;
+            return (0.0, direction);
         }
-        here * TAU * opening
+        (here * TAU * opening, direction)
+    }
+}
+
+/// The varnish at one point, as one direction looks at it.
+#[derive(Clone, Copy)]
+struct Gloss {
+    varnish: Varnish,
+    normal: Vec3,
+    to_eye: Vec3,
+}
+
+impl Gloss {
+    fn value(&self, to_light: Vec3) -> f32 {
+        self.varnish.value(self.normal, self.to_eye, to_light)
+    }
+
+    /// Where the path goes on, by base or lobe, and what it carries on in each channel.
+    fn go_on(&self, albedo: &[f32; 3], sampler: &mut Sampler) -> Option<(Vec3, [f32; 3])> {
+        let base = albedo.iter().copied().fold(0.0, f32::max);
+        let lobe = self.varnish.weight / (self.varnish.weight + base).max(1e-6);
+        let way = if sampler.next().x < lobe {
+            self.varnish.direction(self.normal, self.to_eye, sampler.next())
+        } else {
+            cosine_direction(self.normal, sampler.next())
+        };
+        let cos = self.normal.dot(way);
+        if cos <= 0.0 {
+            return None;
+        }
+        let chance = lobe * self.varnish.chance(self.normal, self.to_eye, way) + (1.0 - lobe) * cos / PI;
+        let shine = self.value(way);
+        Some((way, albedo.map(|a| (a / PI + shine) * cos / chance.max(1e-12))))
     }
 }
 
@@ -327,8 +404,12 @@ mod tests {
 
     #[test]
     fn white_square_under_the_ring_has_the_radiance_of_the_closed_form() {
-        let surface =
-            Surface { mesh: square(0.5, 1.0), reflectance: Texture::plain(0.94), emission: [0.0; 3] };
+        let surface = Surface {
+            mesh: square(0.5, 1.0),
+            reflectance: Texture::plain(0.94),
+            emission: [0.0; 3],
+            varnish: None,
+        };
         let tracer = Tracer::new(vec![surface], vec![], [0.0; 3]);
         let ring = Ring { inner: 0.010, outer: 0.100, radiance: [60.0; 3] };
         let seen = mean(&tracer, Vec3::Z, Some(&ring), 4096);
@@ -340,8 +421,12 @@ mod tests {
     #[test]
     fn closed_glowing_sphere_sums_all_its_bounces() {
         for rho in [0.5, 0.8] {
-            let surface =
-                Surface { mesh: sphere(24), reflectance: Texture::plain(rho), emission: [1.0, 2.0, 0.5] };
+            let surface = Surface {
+                mesh: sphere(24),
+                reflectance: Texture::plain(rho),
+                emission: [1.0, 2.0, 0.5],
+                varnish: None,
+            };
             let tracer = Tracer::new(vec![surface], vec![], [0.0; 3]);
             let seen = mean(&tracer, Vec3::new(0.3, 0.5, 0.7), None, 4096);
             let expected = 1.0 / (1.0 - rho);
@@ -353,8 +438,12 @@ mod tests {
     #[test]
     fn plane_under_a_spherical_lamp_obeys_the_inverse_square_of_its_centre() {
         // A sphere above the horizon gives exactly pi L (r/d)^2 cos, whatever its size.
-        let surface =
-            Surface { mesh: square(2.0, 1.0), reflectance: Texture::plain(0.6), emission: [0.0; 3] };
+        let surface = Surface {
+            mesh: square(2.0, 1.0),
+            reflectance: Texture::plain(0.6),
+            emission: [0.0; 3],
+            varnish: None,
+        };
         let lamp = Lamp { centre: Vec3::new(0.4, 0.3, -0.2), radius: 0.15, radiance: [7.0; 3] };
         let tracer = Tracer::new(vec![surface], vec![lamp], [0.0; 3]);
         let seen = mean(&tracer, Vec3::Z, None, 4096);
@@ -365,10 +454,58 @@ mod tests {
 
     #[test]
     fn even_glow_on_a_lone_plane_returns_its_reflectance() {
-        let surface =
-            Surface { mesh: square(2.0, 1.0), reflectance: Texture::plain(0.3), emission: [0.0; 3] };
+        let surface = Surface {
+            mesh: square(2.0, 1.0),
+            reflectance: Texture::plain(0.3),
+            emission: [0.0; 3],
+            varnish: None,
+        };
         let tracer = Tracer::new(vec![surface], vec![], [2.0; 3]);
         let seen = mean(&tracer, Vec3::Z, None, 64);
         assert!((seen.ambient[0] - 0.6).abs() < 1e-3, "{}", seen.ambient[0]);
+    }
+
+    #[test]
+    fn a_varnished_closed_sphere_of_even_light_sends_back_what_both_lobes_reflect() {
+        // Inside an even glow every lobe returns its directional albedo, whatever way the path goes on.
+        let varnish = Varnish { weight: 0.2, alpha: 0.4 };
+        let surface = Surface {
+            mesh: square(40.0, 1.0),
+            reflectance: Texture::plain(0.3),
+            emission: [0.0; 3],
+            varnish: Some(varnish),
+        };
+        let tracer = Tracer::new(vec![surface], vec![], [1.0; 3]);
+        let seen = mean(&tracer, Vec3::Z, None, 1 << 14);
+        assert!((0.3 + 0.18..0.3 + 0.2).contains(&seen.ambient[0]), "{}", seen.ambient[0]);
+    }
+
+    #[test]
+    fn a_highlight_under_the_ring_has_the_radiance_of_its_closed_form() {
+        // Small ring: the half vector is the normal, so the lobe adds weight D(0) / 4 times the irradiance.
+        let varnish = Varnish { weight: 0.1, alpha: 0.3 };
+        let ring = Ring { inner: 0.0, outer: 0.002, radiance: [1.0; 3] };
+        let shone = |varnish| {
+            let surface = Surface {
+                mesh: square(0.5, 1.0),
+                reflectance: Texture::plain(0.5),
+                emission: [0.0; 3],
+                varnish,
+            };
+            let tracer = Tracer::new(vec![surface], vec![], [0.0; 3]);
+            mean(&tracer, Vec3::Z, Some(&ring), 256).flash[0]
+        };
+        let (matt, glossy) = (shone(None), shone(Some(varnish)));
+        let expected = 1.0 + 0.1 / (PI * 0.09) / 4.0 / (0.5 / PI);
+        assert!((glossy / matt / expected - 1.0).abs() < 1e-3, "{} for {expected}", glossy / matt);
+    }
+
+    #[test]
+    fn without_bounces_a_closed_sphere_shows_its_first_light_alone() {
+        let surface =
+            Surface { mesh: sphere(24), reflectance: Texture::plain(0.5), emission: [1.0; 3], varnish: None };
+        let tracer = Tracer::new(vec![surface], vec![], [0.0; 3]).without_bounces();
+        let seen = mean(&tracer, Vec3::new(0.3, 0.5, 0.7), None, 64);
+        assert!((seen.ambient[0] - 1.0).abs() < 1e-5, "{}", seen.ambient[0]);
     }
 }

@@ -4,6 +4,7 @@ use super::bowl;
 use super::glaze;
 use super::patch::{Patch, assemble};
 use super::path::{Lamp, Ring, Surface, Tracer};
+use super::varnish::Varnish;
 use crate::scene::{Camera, Distortion, Intrinsics};
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
 
@@ -37,16 +38,16 @@ pub(super) const INTRINSICS: Intrinsics = Intrinsics {
 const FLOOR: f64 = 1.2;
 
 /// Cameras on a circle round the object, all looking at one point on the object's axis.
-struct Circle {
-    stops: usize,
+pub(in crate::studio) struct Circle {
+    pub(in crate::studio) stops: usize,
     /// Height of the point looked at, metres.
-    target: f64,
+    pub(in crate::studio) target: f64,
     /// Of the cameras above the point looked at, radians.
-    elevation: f64,
+    pub(in crate::studio) elevation: f64,
     /// From the point looked at, metres.
-    distance: f64,
+    pub(in crate::studio) distance: f64,
     /// Azimuth of the first stop, radians.
-    first: f64,
+    pub(in crate::studio) first: f64,
 }
 
 const CIRCLES: [Circle; 2] = [
@@ -56,17 +57,22 @@ const CIRCLES: [Circle; 2] = [
 
 /// The object and the floor, in this order.
 pub(super) fn surfaces() -> [Surface; 2] {
+    surfaces_on(FLOOR, None)
+}
+
+/// The object, varnished or not, on a floor of this half width (metres).
+pub(super) fn surfaces_on(half_width: f64, varnish: Option<Varnish>) -> [Surface; 2] {
     let (object, paint) = assemble("object", &bowl::patches(), 1024);
     let floor = Patch {
         cells: (1, 1),
-        size: (2.0 * FLOOR, 2.0 * FLOOR),
-        surface: Box::new(|st: DVec2| ((2.0 * st - 1.0) * FLOOR).extend(0.0)),
+        size: (2.0 * half_width, 2.0 * half_width),
+        surface: Box::new(move |st: DVec2| ((2.0 * st - 1.0) * half_width).extend(0.0)),
         glaze: glaze::planks,
     };
     let (floor, planks) = assemble("floor", &[floor], 1024);
     [
-        Surface { mesh: object, reflectance: paint, emission: [0.0; 3] },
-        Surface { mesh: floor, reflectance: planks, emission: [0.0; 3] },
+        Surface { mesh: object, reflectance: paint, emission: [0.0; 3], varnish },
+        Surface { mesh: floor, reflectance: planks, emission: [0.0; 3], varnish: None },
     ]
 }
 
@@ -77,8 +83,13 @@ pub(super) fn tracer(surfaces: &[Surface]) -> Tracer {
 
 /// Cameras of all stops in the order of the walk; names `0001` and on, as the pairs are numbered.
 pub(super) fn cameras() -> Vec<Camera> {
+    cameras_on(&CIRCLES, INTRINSICS)
+}
+
+/// Cameras on these circles, numbered on from `0001`.
+pub(super) fn cameras_on(circles: &[Circle], intrinsics: Intrinsics) -> Vec<Camera> {
     let mut cameras = Vec::new();
-    for Circle { stops, target, elevation, distance, first } in CIRCLES {
+    for &Circle { stops, target, elevation, distance, first } in circles {
         let target = DVec3::Z * target;
         for k in 0..stops {
             let azimuth: f64 = first + std::f64::consts::TAU * k as f64 / stops as f64;
@@ -86,7 +97,7 @@ pub(super) fn cameras() -> Vec<Camera> {
                 DVec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
             cameras.push(Camera {
                 name: format!("{:04}", cameras.len() + 1),
-                intrinsics: INTRINSICS,
+                intrinsics,
                 world_from_camera: looking(target + from * distance, target),
             });
         }
