@@ -73,7 +73,12 @@ pub(super) fn run(args: &Args) -> CliResult {
     println!("the lens blurs by {r:.2}, {g:.2}, {b:.2} pixels (standard deviation; red, green, blue)");
     for (mesh, lobe) in summary.gloss.iter().enumerate() {
         if let Some(lobe) = lobe {
-            println!("mesh {} is glossy: {:.1} % of the light, GGX width {:.2}; taken off", mesh + 1, 100.0 * lobe.weight, lobe.alpha);
+            println!(
+                "mesh {} is glossy: {:.1} % of the light, GGX width {:.2}; taken off",
+                mesh + 1,
+                100.0 * lobe.weight,
+                lobe.alpha
+            );
         }
     }
     for cost in summary.costs.iter().filter(|_| !summary.up_to_date) {

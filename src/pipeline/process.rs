@@ -1,10 +1,10 @@
 //! `process`: a session's accepted pairs to reflectance texture, deviations, view counts and model.
 
+use super::cost::{Cost, Costs};
 use super::develop::{DevelopError, known_light, known_sites, lamp};
 use super::energy::{self, EnergyError, FlashAccount};
 use super::flash::{self, FlashError};
 use super::manifest::{StageManifest, digest};
-use super::cost::{Cost, Costs};
 use super::report::{self, Told};
 use super::scene::{self, SceneError};
 use super::uvs;

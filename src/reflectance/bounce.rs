@@ -104,8 +104,7 @@ impl Bounces {
             progress.report("bounces, round", round, MOST_ROUNDS);
             // The later rounds go on from the earlier ones' light.
             let mut irradiance = std::mem::take(&mut state.irradiance);
-            let emit =
-                |bounced: &[f32], exitance: &mut [f32]| state.emit(elements, views, bounced, exitance);
+            let emit = |bounced: &[f32], exitance: &mut [f32]| state.emit(elements, views, bounced, exitance);
             transport.settle(width, &mut irradiance, (SETTLED, MOST_BOUNCES), emit, progress)?;
             state.irradiance = irradiance;
             let next = state.solve_elements(elements, seen);

@@ -160,8 +160,8 @@ impl<'a> Solver<'a> {
         let elements = &self.stage.elements;
         let transport = self.stage.transport(progress)?;
         let bounces = Bounces::settle(elements, &transport, &self.lights, progress)?;
-        let around =
-            Surroundings::new(self.meshes, elements, &bounces.rho, &bounces.gloss, self.size).ok_or(TextureError::Unseen)?;
+        let around = Surroundings::new(self.meshes, elements, &bounces.rho, &bounces.gloss, self.size)
+            .ok_or(TextureError::Unseen)?;
         Ok(Settled {
             stage: self.stage,
             size: self.size,

@@ -16,8 +16,6 @@ use crate::reflectance::observe::{Lamp, View};
 use crate::reflectance::texture::Stage;
 use crate::scene::Camera;
 use crate::studio::world::lab::{self, Lab, Setting, Shot};
-use glam::Vec3;
-use rayon::prelude::*;
 
 /// Stops that also stand alone: a low one and a high one.
 const ALONE: [usize; 2] = [1, 9];
