@@ -36,12 +36,12 @@ use std::path::{Path, PathBuf};
 /// Largest texture side that is made.
 pub(super) const LARGEST_TEXTURE: usize = 16384;
 
-/// Share of a texture's texels that any one view sees, about, and bytes that are kept of each look.
-const OBSERVED: f64 = 0.15;
-const OBSERVATION: f64 = 52.0;
+/// Share of a photo that shows the object, about, and bytes that are kept of each of its pixels in each view.
+const OBSERVED: f64 = 0.35;
+const OBSERVATION: f64 = 190.0;
 
-/// Bytes that a texel takes whether seen or not: layout, estimate, images.
-const TEXEL: f64 = 150.0;
+/// Bytes that a texel takes: texels and their directions, estimate, images.
+const TEXEL: f64 = 170.0;
 
 /// What is to be made.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -123,7 +123,7 @@ pub enum ProcessError {
     TextureSize(usize),
     /// More memory than there is.
     #[error(
-        "a texture of {size} x {size} texels over this many views needs about {needs:.1} GB, but {has:.1} GB are free: use a smaller --texture-size"
+        "a texture of {size} x {size} texels from this many photos needs about {needs:.1} GB, but {has:.1} GB are free: use a machine with more memory, fewer pairs, or a smaller --texture-size"
     )]
     Memory {
         /// Side asked for.
@@ -333,15 +333,18 @@ fn texture_size(
     object: &Mesh,
     matched: &[(PairRecord, Camera)],
 ) -> Result<usize, ProcessError> {
-    let views = matched.len() as f64;
-    let needs = |size: usize| (size * size) as f64 * (TEXEL + views * OBSERVED * OBSERVATION);
-    let has = memory();
+    let pixels: f64 =
+        matched.iter().map(|(_, c)| c.intrinsics.width as f64 * c.intrinsics.height as f64).sum();
+    let fits = |size: usize| {
+        let needs = ((size * size) as f64 * TEXEL + pixels * OBSERVED * OBSERVATION) / 1e9;
+        let has = memory() / 1e9;
+        if needs < has { Ok(size) } else { Err(ProcessError::Memory { size, needs, has }) }
+    };
     if let Some(size) = options.texture_size {
         if !(16..=LARGEST_TEXTURE).contains(&size) {
             return Err(ProcessError::TextureSize(size));
         }
-        let (needs, has) = (needs(size) / 1e9, has / 1e9);
-        return if needs < has { Ok(size) } else { Err(ProcessError::Memory { size, needs, has }) };
+        return fits(size);
     }
     let n = object.positions.len().max(1) as f32;
     let centre = (object.positions.iter().copied().sum::<Vec3>() / n).as_dvec3();
@@ -349,11 +352,7 @@ fn texture_size(
         .iter()
         .map(|(_, camera)| (camera.centre() - centre).length() / camera.intrinsics.focal.max_element())
         .fold(f64::INFINITY, f64::min);
-    let mut size = atlas::fitting_size(object, finest);
-    while size > 256 && needs(size) > has / 2.0 {
-        size /= 2;
-    }
-    Ok(size)
+    fits(atlas::fitting_size(object, finest))
 }
 
 /// Memory that is free now, bytes, as Linux estimates it; where it does not tell, what a small machine has.
@@ -396,7 +395,8 @@ fn solve_and_write(
         settled.add(i, camera, &known, &lamp, inputs.gain(pair), progress)?;
     }
     costs.done("raws, second look");
-    let texture = settled.solve(inputs.calibration.noise.gain, progress)?;
+    let mut texture = settled.solve(inputs.calibration.noise.gain, progress)?;
+    add_scale_error(&mut texture, scale_error(&inputs.calibration));
     costs.done("texels");
     let mut summary = summarise(inputs, &texture, size);
     summary.turned = turned;
@@ -466,24 +466,28 @@ fn write(
         comments: Some(what.into()),
     };
     let rho: Rgb = atlas::fill(&texture.filled);
-    let scale_error = scale_error(&inputs.calibration);
-    let sd = texture
-        .estimates
-        .map(|e| e.map_or([0.0; 3], |e| std::array::from_fn(|c| e.sd[c].hypot(e.rho[c] * scale_error[c]))));
+    let sd = texture.estimates.map(|e| e.map_or([0.0; 3], |e| e.sd));
     whole(&model.join("reflectance.exr"), |to| {
         exr_image::write_rgb(to, &rho, &meta("diffuse reflectance, 0 to 1; row 0 at v = 1"))
     })?;
     whole(&model.join("stddev.exr"), |to| {
-        exr_image::write_rgb(to, &sd, &meta("standard deviation of the reflectance; 0 where views.exr is 0"))
+        exr_image::write_rgb(
+            to,
+            &sd,
+            &meta(
+                "standard deviation of the mean reflectance over a patch of 4x4 photo pixels; 0 where views.exr is 0",
+            ),
+        )
     })?;
     let views = texture.estimates.pixels().iter().map(|e| e.map_or(0.0, |e| f32::from(e.views))).collect();
+    let residual = texture.residual.pixels().to_vec();
     let surface = texture.filled.pixels().iter().map(|p| f32::from(u8::from(p.is_some()))).collect();
     let counts = Exr {
         width: rho.width(),
         height: rho.height(),
-        channels: vec![("Y".into(), views), ("surface".into(), surface)],
+        channels: vec![("Y".into(), views), ("residual".into(), residual), ("surface".into(), surface)],
         meta: meta(
-            "Y: views that made up each texel; surface: 1 where the object is, 0 in the gutters; surface 1 and Y 0: not seen, filled",
+            "Y: views that made up each texel; residual: how far their own means part, of 1; surface: 1 where the object is, 0 in the gutters; surface 1 and Y 0: not seen, filled",
         ),
     };
     whole(&model.join("views.exr"), |to| exr_image::write(to, &counts))?;
@@ -507,6 +511,13 @@ fn write(
     })?;
     let path = model.join("report.html");
     store::write_atomic(&path, report.as_bytes()).map_err(io(&path))
+}
+
+/// Adds the calibration's own error to every texel's.
+fn add_scale_error(texture: &mut Texture, error: [f32; 3]) {
+    for e in texture.estimates.pixels_mut().iter_mut().flatten() {
+        e.sd = std::array::from_fn(|c| e.sd[c].hypot(e.rho[c] * error[c]));
+    }
 }
 
 /// Relative error of the lamp's radiance, which all texels share.

@@ -1,9 +1,10 @@
 //! Per-view images: `derived/views/NAME/{known,irradiance,reflectance}.exr`, for those who texture elsewhere.
 //!
 //! `known`: the flash's own light, linear camera RGB in DN, as a pulse of the calibration's energy would have given it. `irradiance`: what a white
-//! Lambertian surface would have read there, bounces included, in DN. `reflectance` is the one over the other, with
-//! a fourth channel A: 1 where it is known, 0 (and R, G, B 0) where the view shows no mesh, a site was clipped,
-//! or too little light fell.
+//! Lambertian surface would have read there, bounces included, in DN. `reflectance` of the object is the
+//! texture as this view sees it through its lens and what its own sites add to that, weighed by their noise; of other
+//! surfaces the one over the other. A fourth channel A is 1 where it is known, 0 (and R, G, B 0) where the view shows
+//! no mesh, sites were clipped, or too little light fell beside the object.
 
 use super::develop::{known_sites, lamp};
 use super::manifest::{StageManifest, digest};
@@ -60,7 +61,14 @@ pub(super) fn make(
     let stage_name = |name: &str| format!("view {name}");
     let rho_file = session.path().join(ELEMENTS);
     let rho_digest = store::digest_file(&rho_file).map_err(io(&rho_file))?;
-    let key = |name: &str| digest(&[inputs.key.as_bytes(), rho_digest.as_bytes(), name.as_bytes()]);
+    let summary = super::process::stored(session).ok_or_else(|| ProcessError::Stale(rho_file.clone()))?;
+    let texture_file = session.model_dir().join("reflectance.exr");
+    let texture_digest = store::digest_file(&texture_file).map_err(io(&texture_file))?;
+    let key = |name: &str| {
+        let found = format!("{:?} {:?} {:?}", summary.gains.get(name), summary.blur, summary.gloss);
+        let parts = [&inputs.key, &rho_digest, &texture_digest, name, &found];
+        digest(&parts.map(str::as_bytes))
+    };
     let (mut missing, mut standing) = (vec![], 0);
     for (pair, camera) in &inputs.matched {
         if manifest.is_done(session, &stage_name(&pair.name), &key(&pair.name)) {
@@ -79,7 +87,15 @@ pub(super) fn make(
     if rho.len() != stage.elements.len() {
         return Err(ProcessError::Stale(rho_file));
     }
-    let summary = super::process::stored(session).ok_or_else(|| ProcessError::Stale(rho_file.clone()))?;
+    // What an element sends on: its reflectance, and what a gloss adds.
+    let sent: Vec<[f32; 3]> = rho
+        .iter()
+        .enumerate()
+        .map(|(e, rho)| {
+            let gloss = summary.gloss.get(stage.elements.mesh_of(e)).copied().flatten();
+            rho.map(|r| r + gloss.map_or(0.0, |lobe| lobe.sent_on()))
+        })
+        .collect();
     let (texels, size) = texels(session)?;
     let Some(around) = Surroundings::new(&scene.meshes, &stage.elements, &rho, &summary.gloss, size) else {
         return Err(ProcessError::Stale(rho_file));
@@ -92,7 +108,7 @@ pub(super) fn make(
         let known = demosaic(&sites, inputs.calibration.radiance).at_reference(gain);
         let lamp = lamp(pair, &inputs.calibration)?;
         let light = stage.illuminate(camera, &lamp);
-        let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &rho, progress)?;
+        let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &sent, progress)?;
         let mut maps = view_maps(&light, &known, &stage.elements, &bounced, progress)?;
         if let Some(view) = Projection::look(&around, &light, &bounced, &sites, progress)? {
             let own = own_look(&light, &view, &texels, gain.value, summary.blur);
@@ -127,7 +143,11 @@ pub(super) fn make(
         })?;
         let reflectance = maps.reflectance.map(|p| p.map_or([0.0; 4], |[r, g, b]| [r, g, b, 1.0]));
         whole(&reflectance_file, |to| {
-            exr_image::write_rgba(to, &reflectance, &meta("known over irradiance; A = 1 where known"))
+            exr_image::write_rgba(
+                to,
+                &reflectance,
+                &meta("reflectance as this view sees it; A = 1 where known"),
+            )
         })?;
         let note = manifest.note(session, &stage_name(&pair.name), &key(&pair.name), &names);
         note.map_err(io(&session.derived_dir()))?;

@@ -99,11 +99,14 @@ pub fn lay_out(mesh: &Mesh, size: usize) -> Result<Vec<TexelPoint>, AtlasError> 
     Ok(owner.into_iter().flatten().collect())
 }
 
-/// Gives free texels within one texel of a triangle to the nearest point of the nearest such triangle.
+/// How far from a triangle, in texels, bilinear look-ups inside it read: a diagonal.
+const REACH: f32 = 1.42;
+
+/// Gives free texels within [`REACH`] of a triangle to the nearest point of the nearest such triangle.
 fn claim_borders(charts: &[(u32, [Vec2; 3])], size: usize, owner: &mut [Option<TexelPoint>]) {
     let mut nearest: HashMap<usize, (f32, TexelPoint)> = HashMap::new();
     for &(triangle, corners) in charts {
-        let (low, high) = bounds(&corners, 1.0, size);
+        let (low, high) = bounds(&corners, REACH, size);
         for y in low.1..high.1 {
             for x in low.0..high.0 {
                 let texel = y * size + x;
@@ -111,7 +114,7 @@ fn claim_borders(charts: &[(u32, [Vec2; 3])], size: usize, owner: &mut [Option<T
                     continue;
                 }
                 let (distance, u, v) = nearest_point(&corners, Vec2::new(x as f32, y as f32) + 0.5);
-                if distance <= 1.0 && nearest.get(&texel).is_none_or(|(d, _)| distance < *d) {
+                if distance <= REACH && nearest.get(&texel).is_none_or(|(d, _)| distance < *d) {
                     nearest.insert(texel, (distance, TexelPoint { texel: texel as u32, triangle, u, v }));
                 }
             }

@@ -175,7 +175,7 @@ impl Bounces {
     /// Exitance rho (D + E) of every element for every view.
     fn emit(&self, elements: &Elements, views: &[ViewLight], irradiance: &[f32], exitance: &mut [f32]) {
         let width = 3 * self.views;
-        let gloss: Vec<f32> = self.gloss.iter().map(|g| g.map_or(0.0, |lobe| lobe.weight)).collect();
+        let gloss: Vec<f32> = self.gloss.iter().map(|g| g.map_or(0.0, |lobe| lobe.sent_on())).collect();
         exitance.par_chunks_mut(width).zip(irradiance.par_chunks(width)).enumerate().for_each(
             |(e, (out, bounced))| {
                 for (v, view) in views.iter().enumerate() {
@@ -227,20 +227,21 @@ impl Bounces {
     }
 }
 
-/// Irradiance by bounces (DN) on every element in one view's light, for a reflectance that is known already.
+/// Irradiance by bounces (DN) on every element in one view's light, for elements of which it is known already what
+/// share of their light they send on: `rho` and the gloss's [`Lobe::sent_on`].
 pub fn simulate(
     transport: &Transport,
     direct: &[f32],
     radiance: [f64; 3],
-    rho: &[[f32; 3]],
+    sent: &[[f32; 3]],
     progress: &Progress,
 ) -> Result<Vec<[f32; 3]>, Cancelled> {
-    let mut irradiance = vec![0.0f32; 3 * rho.len()];
+    let mut irradiance = vec![0.0f32; 3 * sent.len()];
     let emit = |bounced: &[f32], exitance: &mut [f32]| {
         exitance.par_chunks_mut(3).zip(bounced.par_chunks(3)).enumerate().for_each(|(e, (out, bounced))| {
             for c in 0..3 {
                 let light = direct[e] * radiance[c] as f32 + bounced[c];
-                out[c] = rho[e][c].clamp(0.0, MOST_REFLECTANCE) * light;
+                out[c] = sent[e][c].clamp(0.0, MOST_REFLECTANCE) * light;
             }
         });
     };

@@ -95,9 +95,11 @@ pub fn own_look(
                 continue;
             }
             let left = left_over(view, &predicted, g, x, y);
+            // A view that has no unclipped site there has not seen it.
+            let [Some(red), Some(green), Some(blue)] = left else { continue };
+            let left = [red, green, blue];
             *out.at_mut(view.window.left + x, view.window.top + y) = Some(std::array::from_fn(|c| {
-                let (value, variance) =
-                    left[c].map_or((0.0, f32::INFINITY), |(r, v)| (r / (g * m[c]), v / (g * m[c]).powi(2)));
+                let (value, variance) = (left[c].0 / (g * m[c]), left[c].1 / (g * m[c]).powi(2));
                 let trust = OWN * OWN / (OWN * OWN + variance);
                 seen.at(x, y)[c] / share[c] + trust * value
             }));

@@ -40,6 +40,9 @@ const ONE_PLACE: f32 = 4.0;
 /// Step of the rays that look for the object first, pixels; what lies within a step and the blur's reach of it counts.
 const SEARCH_STEP: usize = 2;
 
+/// By how much texture coordinates may leave the unit square by rounding.
+const OUTSIDE: f32 = 1e-4;
+
 /// Rows of the texture that one task writes.
 const BAND: usize = 32;
 
@@ -110,8 +113,10 @@ impl Window {
     fn of(camera: &Camera, object: &Mesh) -> Option<Self> {
         let (mut low, mut high) = (DVec2::MAX, DVec2::MIN);
         for p in object.positions.iter().filter(|p| p.is_finite()) {
-            if let Some((pixel, _)) = camera.project(p.as_dvec3()) {
-                (low, high) = (low.min(pixel), high.max(pixel));
+            match camera.project(p.as_dvec3()) {
+                Some((pixel, _)) => (low, high) = (low.min(pixel), high.max(pixel)),
+                // Behind the camera or beyond the lens's field: a triangle may reach from there into any part.
+                None => (low, high) = (DVec2::MIN, DVec2::MAX),
             }
         }
         let margin = gaussian_radius(WIDEST_BLUR) as f64;
@@ -148,6 +153,8 @@ pub struct Projection {
     /// Share of each pixel's rays of which nothing is known.
     pub(super) unknown: Image<[f32; 1]>,
     pub(super) sites: Image<Site>,
+    /// Columns and rows of the whole frame.
+    frame: (usize, usize),
     size: usize,
 }
 
@@ -187,6 +194,7 @@ impl Projection {
                     _ => Site { colour, known: 0.0, variance: f32::INFINITY },
                 }
             }),
+            frame: (light.camera().intrinsics.width, light.camera().intrinsics.height),
             size: around.size,
         };
         view.samples.extend(rows.into_iter().flat_map(|r| r.samples));
@@ -214,6 +222,12 @@ impl Projection {
             fill[band(s)] += 1;
         }
         (self.order, self.bands) = (order, starts);
+    }
+
+    /// Whether light from beyond the frame reaches a pixel of the window through a blur of `reach` pixels.
+    pub(super) fn at_frame_edge(&self, x: usize, y: usize, reach: usize) -> bool {
+        let (x, y) = (self.window.left + x, self.window.top + y);
+        x < reach || y < reach || x + reach >= self.frame.0 || y + reach >= self.frame.1
     }
 
     /// The texture as this view's pixels see it, before the lens's blur; with `others`, the light of other surfaces
@@ -254,10 +268,9 @@ impl Projection {
         let (mut seen, mut cover) = (self.blank(), self.blank());
         for s in &self.samples {
             let rho = self.read(texture, s);
-            for c in 0..3 {
-                seen.pixels_mut()[s.pixel as usize][c] += rho[c];
-                cover.pixels_mut()[s.pixel as usize][c] += 1.0;
-            }
+            let at = s.pixel as usize;
+            (0..3).for_each(|c| seen.pixels_mut()[at][c] += rho[c]);
+            cover.pixels_mut()[at].iter_mut().for_each(|n| *n += 1.0);
         }
         let share = |image: Rgb| image.map(|p| p.map(|v| v / (GRID * GRID) as f32));
         (gaussian_each(&share(seen), blur), gaussian_each(&share(cover), blur))
@@ -452,16 +465,17 @@ fn shared_share(light: &Illumination, met: &[Option<Met>; GRID * GRID]) -> Optio
 fn place(around: &Surroundings, triangle: usize, [u, v]: [f32; 2]) -> Option<(u32, [f32; 2])> {
     let [a, b, c] = around.object.uv_corners(triangle)?;
     let uv = a * (1.0 - u - v) + b * u + c * v;
-    let n = around.size as f32;
-    let place = Vec3::new(uv.x * n - 0.5, (1.0 - uv.y) * n - 0.5, 0.0);
-    if !place.is_finite() {
+    // A triangle without room in the texture has no texel of its own, nor has one outside of it.
+    let inside = uv.min_element() >= -OUTSIDE && uv.max_element() <= 1.0 + OUTSIDE;
+    if !inside || (b - a).perp_dot(c - a) == 0.0 {
         return None;
     }
+    let n = around.size as f32;
     let cell = |p: f32| {
         let p = p.clamp(0.0, n - 1.0);
         let low = (p as usize).min(around.size - 2);
         (low, p - low as f32)
     };
-    let ((x, fx), (y, fy)) = (cell(place.x), cell(place.y));
+    let ((x, fx), (y, fy)) = (cell(uv.x * n - 0.5), cell((1.0 - uv.y) * n - 0.5));
     Some(((y * around.size + x) as u32, [fx, fy]))
 }

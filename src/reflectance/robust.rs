@@ -74,7 +74,12 @@ impl Lobe {
 
     /// What the lobe sends to the camera where white would send `direct` by the flash and `bounced` by bounces.
     pub fn sent(&self, facing: f32, direct: f32, bounced: f32) -> f32 {
-        self.excess(facing) * direct + KEPT * self.weight * bounced
+        self.excess(facing) * direct + self.sent_on() * bounced
+    }
+
+    /// Share of bounced light that the lobe sends on: all ways on the whole, as from paint.
+    pub fn sent_on(&self) -> f32 {
+        KEPT * self.weight
     }
 
     /// The reading without the gloss in the flash's direct light; what the gloss sends on of bounced light is
@@ -87,7 +92,7 @@ impl Lobe {
             o.known[c] -= gloss;
             o.variance[c] += (SHAPE_ERROR * gloss).powi(2);
         }
-        o.gloss = KEPT * self.weight;
+        o.gloss = self.sent_on();
     }
 
     /// Finds the gloss that many points share; `None` where they do not speak of one.

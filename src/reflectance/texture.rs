@@ -3,13 +3,13 @@
 //!
 //! Views are added one at a time, and looked at twice: once for the bounces, once with them.
 
-use super::atlas::{AtlasError, TexelPoint, lay_out};
+use super::atlas::{AtlasError, TexelPoint, fill, lay_out};
 use super::bounce::{Bounces, Round, ViewLight};
 use super::joint::{Joint, Photo, Run, solve_jointly};
 use super::observe::{Illumination, Lamp, View};
 use super::project::{Projection, Surroundings};
 use super::solve::Estimate;
-use super::uncertainty::{CELL, Cell};
+use super::uncertainty::CELL;
 use crate::light::{Elements, Transport, interpolate};
 use crate::photometry::{FlashGain, Known, KnownMosaic};
 use crate::progress::{Cancelled, Progress};
@@ -43,6 +43,11 @@ pub enum TextureError {
         "no view sees the object: do scene and photos belong together, and are cameras and mesh in the same frame and unit?"
     )]
     Unseen,
+    /// Every pixel of it mixes with what lies behind.
+    #[error(
+        "the object is so small or thin in the photos that no pixel shows it alone: go nearer, or use a longer lens"
+    )]
+    TooSmall,
 }
 
 /// The finished texture, `size` x `size`, row 0 at v = 1.
@@ -52,6 +57,8 @@ pub struct Texture {
     /// Reflectance of every texel on the surface: the estimate, or for what no view sees that of the nearest
     /// seen surface.
     pub filled: Image<Option<[f32; 3]>>,
+    /// Root mean square of the views' own means about each seen texel, of 1: how far they disagree.
+    pub residual: Image<f32>,
     /// Texels that lie on the surface, seen or not.
     pub surface: usize,
     /// How the rounds of bounces converged.
@@ -207,34 +214,41 @@ impl Settled<'_> {
 
     /// Solves every texel; `shot_noise` is the sensor's variance per DN of light.
     pub fn solve(self, shot_noise: f32, progress: &Progress) -> Result<Texture, TextureError> {
-        let Joint { texels, gains, blur, runs, cells } =
-            solve_jointly(&self.photos, self.start(), self.size, shot_noise, progress)?;
+        let joint = solve_jointly(&self.photos, self.start(), self.size, shot_noise, progress)?;
+        let Joint { texels, gains, blur, runs, cells, spoken, scale_error } = joint;
         let mut estimates = Image::filled(self.size, self.size, None);
         let mut filled = Image::filled(self.size, self.size, None);
+        let mut residual = Image::filled(self.size, self.size, 0.0);
         for p in &self.points {
-            let rho = texels[p.texel as usize];
-            let (x, y) = (p.texel as usize % self.size, p.texel as usize / self.size);
-            let Cell { sd, views, .. } = *cells.at(x / CELL, y / CELL);
-            if views > 0 {
-                estimates.pixels_mut()[p.texel as usize] = Some(Estimate { rho, sd, views });
+            let at = p.texel as usize;
+            let cell = cells.at(at % self.size / CELL, at / self.size / CELL);
+            let rho = texels[at];
+            filled.pixels_mut()[at] = Some(rho);
+            if spoken[at] && cell.views > 0 {
+                let sd = std::array::from_fn(|c| cell.sd[c].hypot(scale_error * rho[c]));
+                estimates.pixels_mut()[at] = Some(Estimate { rho, sd, views: cell.views });
+                residual.pixels_mut()[at] = cell.residual;
             }
-            filled.pixels_mut()[p.texel as usize] = Some(rho);
+        }
+        if estimates.pixels().iter().all(Option::is_none) {
+            return Err(TextureError::TooSmall);
         }
         let gains = self.places.iter().map(|(at, measured)| at.map_or(*measured, |at| gains[at])).collect();
         let rounds = self.bounces.rounds.clone();
         let surface = self.points.len();
-        Ok(Texture { estimates, filled, surface, rounds, runs, gains, blur, bounces: self.bounces })
+        Ok(Texture { estimates, filled, residual, surface, rounds, runs, gains, blur, bounces: self.bounces })
     }
 
     /// The elements' reflectance at every texel.
     fn start(&self) -> Vec<[f32; 3]> {
         let elements = &self.stage.elements;
         let corners = elements.smooth(&self.bounces.rho);
-        let mut start = vec![[0.0; 3]; self.size * self.size];
+        let mut start = Image::filled(self.size, self.size, None);
         for p in &self.points {
             let (element, at) = elements.locate(0, p.triangle as usize, p.u, p.v);
-            start[p.texel as usize] = interpolate(&corners[element], at);
+            start.pixels_mut()[p.texel as usize] = Some(interpolate(&corners[element], at));
         }
-        start
+        // Gutters too: what lies beside a chart must not pull its border down.
+        fill(&start).pixels().to_vec()
     }
 }

@@ -16,7 +16,7 @@
 //! as [`PRIOR_FREEDOM`] views more. To it come the energies' errors; what all views share (the calibration's scale) is
 //! added by the caller.
 
-use super::joint::{Photo, State, Weights};
+use super::joint::{PRIOR, Photo, State, Weights};
 use super::project::Projection;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::blur::gaussian;
@@ -32,8 +32,8 @@ const PATCH_AREA: f32 = 16.8;
 /// Weight of the model's own promise against the views' spread, in views.
 const PRIOR_FREEDOM: f32 = 3.0;
 
-/// A view counts in a cell when it brings at least this share of the cell's information.
-const COUNTS: f32 = 0.01;
+/// A view counts in a cell when it alone would tell the patch's reflectance to this standard deviation.
+const COUNTS: f32 = 0.2;
 
 /// What is known of one cell of texels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -60,7 +60,6 @@ struct Sums {
 /// One view's share of one cell.
 #[derive(Clone, Copy, Default)]
 struct Share {
-    weight: [f32; 3],
     residual: [f32; 3],
     info: [f32; 3],
     samples: f32,
@@ -125,7 +124,6 @@ fn gather(view: &Projection, residual: &Rgb, info: &Rgb, size: usize, shares: &m
         let share = &mut shares[(y / CELL) * side + x / CELL];
         share.samples += 1.0;
         for c in 0..3 {
-            share.weight[c] += i[c];
             share.residual[c] += i[c] * r[c];
             share.info[c] += i[c];
         }
@@ -135,10 +133,10 @@ fn gather(view: &Projection, residual: &Rgb, info: &Rgb, size: usize, shares: &m
 fn fold(sum: &mut Sums, share: &Share, energy: f32) {
     let mut own = 0.0;
     for c in 0..3 {
-        if share.weight[c] <= 0.0 {
+        if share.info[c] <= 0.0 {
             continue;
         }
-        let (r, info) = (share.residual[c] / share.weight[c], share.info[c] / share.samples);
+        let (r, info) = (share.residual[c] / share.info[c], share.info[c] / share.samples);
         sum.info[c] += info;
         sum.info2[c] += info * info;
         sum.spread[c] += (info * r).powi(2);
@@ -146,8 +144,7 @@ fn fold(sum: &mut Sums, share: &Share, energy: f32) {
         sum.residual += info * r * r;
         sum.energy[c] += (info * energy).powi(2);
     }
-    let all: f32 = sum.info.iter().sum();
-    sum.views += u16::from(own > COUNTS * all && own > 0.0);
+    sum.views += u16::from(own / 3.0 > COUNTS.powi(-2));
 }
 
 fn finish(sums: &[Sums], texels: &[[f32; 3]], size: usize) -> Image<Cell> {
@@ -157,7 +154,7 @@ fn finish(sums: &[Sums], texels: &[[f32; 3]], size: usize) -> Image<Cell> {
         let n = if s.info2[c] > 0.0 { s.info[c] * s.info[c] / s.info2[c] } else { 0.0 };
         let freedom = (n - 1.0).max(0.0);
         let variance = if freedom > 0.2 { s.spread[c] / (s.info[c] * s.info[c]) * n / freedom } else { 0.0 };
-        let promised = 1.0 / s.info[c].max(f32::MIN_POSITIVE);
+        let promised = 1.0 / (s.info[c] + PRIOR.powi(-2));
         (variance, promised, if freedom > 0.2 { freedom } else { 0.0 })
     };
     let mut ratios: Vec<f32> = vec![];
