@@ -47,6 +47,8 @@ pub struct Bounces {
     pub rho: Vec<[f32; 3]>,
     /// What each round changed.
     pub rounds: Vec<Round>,
+    /// Share of bounced light in each element's light, by channel.
+    pub shares: Vec<[f32; 3]>,
     /// The gloss of each mesh, where one was found: to be taken off every observation of it.
     pub gloss: Vec<Option<Lobe>>,
 }
@@ -78,6 +80,7 @@ impl Bounces {
             irradiance: vec![0.0; elements.len() * width],
             rho: vec![],
             rounds: vec![],
+            shares: vec![],
             gloss: vec![None; meshes],
         };
         state.rho = state.solve_elements(elements, &seen);
@@ -86,6 +89,7 @@ impl Bounces {
             state.rho = state.solve_elements(elements, &seen);
             state.iterate(elements, transport, views, &seen, progress)?;
         }
+        state.shares = state.shares(views);
         Ok(state)
     }
 
@@ -166,9 +170,27 @@ impl Bounces {
 
     /// Irradiance by bounces on every element for one view, DN.
     pub fn of_view(&self, view: usize) -> Vec<[f32; 3]> {
+        let all = self.irradiance.chunks_exact(3 * self.views);
+        all.map(|all| [all[3 * view], all[3 * view + 1], all[3 * view + 2]]).collect()
+    }
+
+    /// Share of bounced light in all the light of the views that light an element, by channel.
+    fn shares(&self, views: &[ViewLight]) -> Vec<[f32; 3]> {
         self.irradiance
-            .chunks_exact(3 * self.views)
-            .map(|all| [all[3 * view], all[3 * view + 1], all[3 * view + 2]])
+            .par_chunks_exact(3 * self.views)
+            .enumerate()
+            .map(|(e, bounced)| {
+                let (mut part, mut all) = ([0.0f32; 3], [0.0f32; 3]);
+                for (view, bounced) in views.iter().zip(bounced.chunks_exact(3)) {
+                    for c in 0..3 {
+                        let direct = view.direct[e] * view.radiance[c] as f32;
+                        // Views in whose light it is brightest tell most of it.
+                        part[c] += direct * bounced[c];
+                        all[c] += direct * (direct + bounced[c]);
+                    }
+                }
+                std::array::from_fn(|c| if all[c] > 0.0 { part[c] / all[c] } else { 1.0 })
+            })
             .collect()
     }
 

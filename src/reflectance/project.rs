@@ -479,3 +479,55 @@ fn place(around: &Surroundings, triangle: usize, [u, v]: [f32; 2]) -> Option<(u3
     let ((x, fx), (y, fy)) = (cell(uv.x * n - 0.5), cell((1.0 - uv.y) * n - 0.5));
     Some(((y * around.size + x) as u32, [fx, fy]))
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use glam::Vec2;
+
+    /// Side of the texture that [`flat_view`] looks at.
+    pub(in crate::reflectance) const SIZE: usize = 64;
+
+    /// A picture of a texture lying flat, a texel a pixel, shifted and turned a little by its number; evenly lit.
+    pub(in crate::reflectance) fn flat_view(number: usize, white: f32) -> Projection {
+        let window = Window { left: 20, top: 20, width: SIZE, height: SIZE };
+        let blank = Image::filled(SIZE, SIZE, [0.0f32; 3]);
+        let (sin, cos) = (0.3 * number as f32).sin_cos();
+        let mut view = Projection {
+            window,
+            samples: vec![],
+            order: vec![],
+            bands: vec![],
+            other: blank.clone(),
+            white: blank,
+            unknown: Image::filled(SIZE, SIZE, [0.0]),
+            sites: Image::from_fn(SIZE, SIZE, |x, y| Site {
+                colour: crate::photometry::Cfa::RGGB.colour(x, y) as u8,
+                known: 0.0,
+                variance: 1.0,
+            }),
+            frame: (SIZE + 40, SIZE + 40),
+            size: SIZE,
+        };
+        for pixel in 0..SIZE * SIZE {
+            for k in 0..GRID * GRID {
+                let inside = Vec2::new((k % GRID) as f32 + 0.5, (k / GRID) as f32 + 0.5) / GRID as f32;
+                let p = Vec2::new((pixel % SIZE) as f32, (pixel / SIZE) as f32) + inside - SIZE as f32 / 2.0;
+                let turned = Vec2::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y);
+                let at = turned + SIZE as f32 / 2.0 - 0.5 + 0.21 * number as f32;
+                if at.min_element() < 0.0 || at.max_element() >= (SIZE - 1) as f32 {
+                    view.unknown.pixels_mut()[pixel][0] += 1.0 / (GRID * GRID) as f32;
+                    continue;
+                }
+                let corner = at.floor();
+                let white = [white / (GRID * GRID) as f32; 3];
+                let texel = corner.y as u32 * SIZE as u32 + corner.x as u32;
+                let at = (at - corner).to_array();
+                view.samples.push(Sample { pixel: pixel as u32, texel, at, white });
+                (0..3).for_each(|c| view.white.pixels_mut()[pixel][c] += white[c]);
+            }
+        }
+        view.sort();
+        view
+    }
+}

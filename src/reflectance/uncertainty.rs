@@ -184,6 +184,8 @@ fn finish(sums: &[Sums], texels: &[[f32; 3]], size: usize) -> Image<Cell> {
             // The nine cells' residuals hang together: they count as the middle one's views.
             let cells = 9.0f32;
             let ratio = (above / cells + PRIOR_FREEDOM * typical) / (below / cells + PRIOR_FREEDOM);
+            // Views that agree better than noise and model error let them agree by chance.
+            let ratio = ratio.max(1.0);
             let energy = if s.info[c] > 0.0 { s.energy[c] / (s.info[c] * s.info[c]) } else { 0.0 };
             (promised * ratio + energy * rho[c] * rho[c]).sqrt()
         });
