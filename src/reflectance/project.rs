@@ -257,8 +257,8 @@ impl Projection {
         let (mut seen, mut cover) = (self.blank(), self.blank());
         for s in &self.samples {
             let rho = self.read(texture, s);
-            for c in 0..3 {
-                seen.pixels_mut()[s.pixel as usize][c] += rho[c];
+            for (c, rho) in rho.into_iter().enumerate() {
+                seen.pixels_mut()[s.pixel as usize][c] += rho;
                 cover.pixels_mut()[s.pixel as usize][c] += 1.0;
             }
         }
