@@ -4,11 +4,13 @@
 //! flash's direct light and T the geometry's transport. White bounces (the thesis) leave the result too dark,
 //! none too bright; with the estimate put back in, both errors shrink round by round.
 
+use super::mirror::mirrored;
 use super::observe::Observation;
 use super::robust::{Glint, Lobe};
 use super::solve::{Reading, solve};
 use crate::light::{Elements, Transport};
 use crate::progress::{Cancelled, Progress};
+use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -24,6 +26,10 @@ const MOST_BOUNCES: usize = 40;
 
 /// Transport loses no energy of its own, so a reflectance at or above one would grow without end.
 const MOST_REFLECTANCE: f32 = 0.97;
+
+/// Rounds of looking for a gloss: while it counts as paint, too much bounced light is taken off the readings that it
+/// is looked for in.
+const GLOSS_ROUNDS: usize = 3;
 
 /// Relative error of a reading beside noise when the gloss is looked for: texture within an element, pose, mesh.
 const SCATTER: f32 = 0.03;
@@ -43,6 +49,8 @@ pub struct Bounces {
     views: usize,
     /// Irradiance by bounces in DN, `[element][view][channel]`.
     irradiance: Vec<f32>,
+    /// What a gloss mirrors of other surfaces, laid out likewise; before any gloss is found, empty.
+    mirrored: Vec<f32>,
     /// Reflectance by element.
     pub rho: Vec<[f32; 3]>,
     /// What each round changed.
@@ -53,9 +61,11 @@ pub struct Bounces {
     pub gloss: Vec<Option<Lobe>>,
 }
 
-/// What one view gives: the flash's irradiance per unit radiance on every element, its radiance per channel
+/// What one view gives: where its camera stands, the flash's irradiance per unit radiance on every element, its radiance per channel
 /// (DN), and its observations by element, ascending.
 pub struct ViewLight {
+    /// Centre of the camera, metres, world frame.
+    pub eye: Vec3,
     /// Irradiance per unit radiance, one an element.
     pub direct: Vec<f32>,
     /// Radiance, DN.
@@ -78,6 +88,7 @@ impl Bounces {
         let mut state = Self {
             views: views.len(),
             irradiance: vec![0.0; elements.len() * width],
+            mirrored: vec![],
             rho: vec![],
             rounds: vec![],
             shares: vec![],
@@ -85,7 +96,11 @@ impl Bounces {
         };
         state.rho = state.solve_elements(elements, &seen);
         state.iterate(elements, transport, views, &seen, progress)?;
-        if state.find_gloss(elements, &mut seen, progress)? {
+        for _ in 0..GLOSS_ROUNDS {
+            if !state.find_gloss(elements, &mut seen, progress)? {
+                break;
+            }
+            state.mirror(elements, views, progress)?;
             state.rho = state.solve_elements(elements, &seen);
             state.iterate(elements, transport, views, &seen, progress)?;
         }
@@ -122,13 +137,19 @@ impl Bounces {
         Ok(())
     }
 
-    /// Looks for a gloss on each mesh and takes it off what was seen of it; tells whether there is any.
+    /// Looks for a gloss on each mesh and takes it off what was seen of it, in place of the one found before; tells
+    /// whether there is any.
     fn find_gloss(
         &mut self,
         elements: &Elements,
         seen: &mut Seen,
         progress: &Progress,
     ) -> Result<bool, Cancelled> {
+        for e in 0..elements.len() {
+            if let Some(lobe) = self.gloss[elements.mesh_of(e)] {
+                seen.of_mut(e).iter_mut().for_each(|(_, o)| lobe.put_back(o));
+            }
+        }
         for mesh in 0..self.gloss.len() {
             progress.check()?;
             let glints: Vec<Vec<Glint>> = (0..elements.len())
@@ -143,11 +164,38 @@ impl Bounces {
         }
         for e in 0..elements.len() {
             if let Some(lobe) = self.gloss[elements.mesh_of(e)] {
-                let (from, to) = (seen.starts[e] as usize, seen.starts[e + 1] as usize);
-                seen.list[from..to].iter_mut().for_each(|(_, o)| lobe.take_off(o));
+                seen.of_mut(e).iter_mut().for_each(|(_, o)| lobe.take_off(o));
             }
         }
         Ok(self.gloss.iter().any(Option::is_some))
+    }
+
+    /// Traces what the glosses found mirror of the present light.
+    fn mirror(
+        &mut self,
+        elements: &Elements,
+        views: &[ViewLight],
+        progress: &Progress,
+    ) -> Result<(), Cancelled> {
+        let width = 3 * self.views;
+        let mut exitance = vec![0.0; self.irradiance.len()];
+        self.emit(elements, views, &self.irradiance, &mut exitance);
+        self.mirrored.resize(self.irradiance.len(), 0.0);
+        for (v, view) in views.iter().enumerate() {
+            progress.check()?;
+            let of_view = |e: usize| [0, 1, 2].map(|c| exitance[e * width + 3 * v + c]);
+            let sent: Vec<[f32; 3]> = (0..elements.len()).map(of_view).collect();
+            for (e, light) in mirrored(elements, view.eye, &self.gloss, &sent).into_iter().enumerate() {
+                let at = e * width + 3 * v;
+                self.mirrored[at..at + 3].copy_from_slice(&light);
+            }
+        }
+        Ok(())
+    }
+
+    /// Mirrored light at a place of the layout; as good as any guess before it is traced is the bounced light.
+    fn mirrored_at(&self, at: usize) -> f32 {
+        *self.mirrored.get(at).unwrap_or(&self.irradiance[at])
     }
 
     /// An element's readings, bounced light taken off by the present estimate.
@@ -155,14 +203,15 @@ impl Bounces {
         let brightest = seen.iter().map(|(_, o)| o.white[1]).fold(0.0, f32::max);
         let glint = |(view, o): &(u16, Observation)| {
             let at = 3 * (element * self.views + usize::from(*view));
-            let (mut ratio, mut variance) = (0.0, 0.0);
+            let (mut ratio, mut variance, mut mirrored) = (0.0, 0.0, 0.0);
             for c in 0..3 {
                 let rho = self.rho[element][c];
                 ratio += (o.known[c] - rho * o.response * self.irradiance[at + c]) / o.white[c] / 3.0;
+                mirrored += o.response * self.mirrored_at(at + c) / o.white[c] / 3.0;
                 let scatter = SCATTER * rho * o.white[c];
                 variance += (o.variance[c] + scatter * scatter) / (3.0 * o.white[c]).powi(2);
             }
-            Glint { ratio, weight: variance.recip(), facing: o.facing }
+            Glint { ratio, weight: variance.recip(), facing: o.facing, mirrored }
         };
         let lit = seen.iter().filter(|(_, o)| o.white.iter().all(|&m| m > LIT * brightest && m > 0.0));
         lit.map(glint).filter(|g| g.ratio.is_finite() && g.weight.is_finite() && g.weight > 0.0).collect()
@@ -225,7 +274,8 @@ impl Bounces {
                     .iter()
                     .map(|(view, o)| {
                         let at = e * width + 3 * *view as usize;
-                        reading(o, &[0, 1, 2].map(|c| self.irradiance[at + c]))
+                        let mirrored = [0, 1, 2].map(|c| self.mirrored_at(at + c));
+                        reading(o, &[0, 1, 2].map(|c| self.irradiance[at + c]), &mirrored)
                     })
                     .collect();
                 solve(&readings).map(|estimate| estimate.rho)
@@ -271,10 +321,11 @@ pub fn simulate(
     Ok(irradiance.chunks_exact(3).map(|e| [e[0], e[1], e[2]]).collect())
 }
 
-/// The observation with bounced irradiance (DN) added to what white would have read.
-pub fn reading(o: &Observation, bounced: &[f32; 3]) -> Reading {
+/// The observation with bounced irradiance (DN) added to what white would have read, and what a gloss mirrors (DN)
+/// taken off.
+fn reading(o: &Observation, bounced: &[f32; 3], mirrored: &[f32; 3]) -> Reading {
     let white = std::array::from_fn(|c| o.white[c] + o.response * bounced[c]);
-    let known = std::array::from_fn(|c| o.known[c] - o.gloss * o.response * bounced[c]);
+    let known = std::array::from_fn(|c| o.known[c] - o.gloss * o.response * mirrored[c]);
     Reading { known, variance: o.variance, white, resolution: o.resolution }
 }
 
@@ -287,6 +338,10 @@ struct Seen {
 impl Seen {
     fn of(&self, element: usize) -> &[(u16, Observation)] {
         &self.list[self.starts[element] as usize..self.starts[element + 1] as usize]
+    }
+
+    fn of_mut(&mut self, element: usize) -> &mut [(u16, Observation)] {
+        &mut self.list[self.starts[element] as usize..self.starts[element + 1] as usize]
     }
 }
 

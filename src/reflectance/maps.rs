@@ -62,16 +62,18 @@ pub fn view_maps(
         let response = lamp.field.at(lens, DVec2::new(x as f64, y as f64) + 0.5) / PI;
         irradiance.at(x, y).map(|e| e.map(|e| (f64::from(e) * response) as f32))
     });
-    let reflectance = Image::from_fn(width, height, |x, y| {
-        let m = (*white.at(x, y))?;
-        if !known.valid.at(x, y) {
-            return None;
-        }
-        let (p, var) = (known.rgb.at(x, y), known.variance.at(x, y));
-        let firm = (0..3).all(|c| m[c] > 0.0 && var[c].sqrt() < MOST_DEVIATION * m[c]);
-        firm.then(|| std::array::from_fn(|c| p[c] / m[c]))
-    });
+    let reflectance = Image::from_fn(width, height, |x, y| divided(known, x, y, (*white.at(x, y))?));
     Ok(ViewMaps { white: white.map(|m| m.unwrap_or([0.0; 3])), reflectance })
+}
+
+/// Known light over what white would have read, where both tell of a reflectance.
+pub(crate) fn divided(known: &Known, x: usize, y: usize, white: [f32; 3]) -> Option<[f32; 3]> {
+    if !known.valid.at(x, y) {
+        return None;
+    }
+    let (p, variance) = (known.rgb.at(x, y), known.variance.at(x, y));
+    let firm = (0..3).all(|c| white[c] > 0.0 && variance[c].sqrt() < MOST_DEVIATION * white[c]);
+    firm.then(|| std::array::from_fn(|c| p[c] / white[c]))
 }
 
 /// The object as one view saw it: the texture through the lens, and what this view's sites say beside it, weighed by its

@@ -16,6 +16,7 @@ pub mod atlas;
 pub mod bounce;
 pub mod joint;
 pub mod maps;
+mod mirror;
 pub mod observe;
 pub mod orientation;
 pub mod project;

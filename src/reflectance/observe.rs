@@ -42,7 +42,7 @@ pub struct Observation {
     pub response: f32,
     /// Cosine between normal and direction to the camera.
     pub facing: f32,
-    /// Share of bounced light that a gloss sends on beside the paint; 0 where none was found.
+    /// Weight of the gloss, of whose mirrored light the reading is still to be freed; 0 where none was found.
     pub gloss: f32,
 }
 

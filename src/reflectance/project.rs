@@ -13,6 +13,7 @@
 //! demosaiced. The transpose of the same function carries residuals back to the texels. (Irani and Peleg, "Improving
 //! resolution by image registration", 1991, for the idea of solving in the scene for what blurred images show.)
 
+use super::mirror::mirrored;
 use super::observe::Illumination;
 use super::robust::Lobe;
 use crate::light::{Elements, RayKernel, interpolate};
@@ -169,13 +170,15 @@ impl Projection {
         progress: &Progress,
     ) -> Result<Option<Self>, Cancelled> {
         let Some(window) = Window::of(light.camera(), around.object) else { return Ok(None) };
+        let mirrored = around.mirrored(light, bounced);
         let bounced = around.elements.smooth(bounced);
+        let lit = Lit { direct: light, bounced: &bounced, mirrored: &mirrored };
         let wanted = around.wanted(light.camera(), &window, progress)?;
         let rows: Vec<Row> = (0..window.height)
             .into_par_iter()
             .map(|y| {
                 progress.check()?;
-                Ok(row(around, light, &bounced, &window, &wanted, y))
+                Ok(row(around, &lit, &window, &wanted, y))
             })
             .collect::<Result<_, Cancelled>>()?;
         let mut view = Self {
@@ -328,14 +331,16 @@ struct Row {
     unknown: Vec<f32>,
 }
 
-fn row(
-    around: &Surroundings,
-    light: &Illumination,
-    bounced: &[[[f32; 3]; 3]],
-    window: &Window,
-    wanted: &Image<bool>,
-    y: usize,
-) -> Row {
+/// All light of one view: the flash's own, and by element corner what bounces and what a gloss mirrors (DN; empty
+/// where nothing is glossy).
+struct Lit<'a> {
+    direct: &'a Illumination<'a>,
+    bounced: &'a [[[f32; 3]; 3]],
+    mirrored: &'a [[[f32; 3]; 3]],
+}
+
+fn row(around: &Surroundings, lit: &Lit, window: &Window, wanted: &Image<bool>, y: usize) -> Row {
+    let &Lit { direct: light, bounced, mirrored } = lit;
     let (camera, lamp) = (light.camera(), light.lamp());
     let one = 1.0 / (GRID * GRID) as f32;
     let mut out =
@@ -365,9 +370,10 @@ fn row(
             let white: [f32; 3] =
                 std::array::from_fn(|c| ((lamp.radiance[c] * unit + f64::from(bounce[c])) * response) as f32);
             if let Some(lobe) = around.gloss[met.mesh as usize] {
-                for (c, (other, bounce)) in out.other[x].iter_mut().zip(bounce).enumerate() {
+                let mirrored = mirrored.get(element).map_or([0.0; 3], |corners| interpolate(corners, at));
+                for (c, (other, mirrored)) in out.other[x].iter_mut().zip(mirrored).enumerate() {
                     let direct = lamp.radiance[c] * unit * response;
-                    *other += lobe.sent(met.facing, direct as f32, bounce * response as f32);
+                    *other += lobe.sent(met.facing, direct as f32, mirrored * response as f32);
                 }
             }
             let place = if met.mesh == 0 { place(around, met.triangle as usize, met.uv) } else { None };
@@ -403,6 +409,26 @@ struct Met {
 }
 
 impl Surroundings<'_> {
+    /// What the glosses mirror of the lit surfaces, by element corner; nothing where there is no gloss.
+    fn mirrored(&self, light: &Illumination, bounced: &[[f32; 3]]) -> Vec<[[f32; 3]; 3]> {
+        if self.gloss.iter().all(Option::is_none) {
+            return vec![];
+        }
+        let elements = self.elements;
+        let exitance: Vec<[f32; 3]> = (0..elements.len())
+            .into_par_iter()
+            .map(|e| {
+                let direct = light.direct(elements.centroid(e), elements.normal(e));
+                let gloss = self.gloss[elements.mesh_of(e)].map_or(0.0, |lobe| lobe.weight);
+                std::array::from_fn(|c| {
+                    let rho = self.rho[e].iter().map(|corner| corner[c]).sum::<f32>() / 3.0 + gloss;
+                    rho.clamp(0.0, 1.0) * ((direct * light.lamp().radiance[c]) as f32 + bounced[e][c])
+                })
+            })
+            .collect();
+        elements.smooth(&mirrored(elements, light.camera().centre().as_vec3(), &self.gloss, &exitance))
+    }
+
     fn meet(&self, camera: &Camera, pixel: DVec2) -> Option<Met> {
         let (origin, ray) = (camera.centre().as_vec3(), camera.ray(pixel).as_vec3());
         let hit = self.kernel.nearest(origin, ray, 0.0, f32::INFINITY)?;

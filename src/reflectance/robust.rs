@@ -5,12 +5,13 @@
 //! curve for the whole surface, while the reflectance is a number for each point: of the readings
 //!
 //! ```text
-//! (known - bounced) / direct white = rho_i + weight g(facing; alpha)
+//! (known - bounced) / direct white = rho_i + weight (g(facing; alpha) + mirrored)
 //! ```
 //!
 //! of many points, `weight` and `alpha` are fitted together with every `rho_i` (their scatter about it tells the
 //! gloss from the paint). g is a microfacet lobe after Walter et al. (EGSR 2007), GGX with Smith's masking, seen
-//! along its own half vector, in units of what white sends back: `g = pi D G / (4 cos^2)`. Robust by Tukey's
+//! along its own half vector, in units of what white sends back: `g = pi D G / (4 cos^2)`; `mirrored` is the light of
+//! other surfaces along the lobe, in the same units ([`super::mirror`]). Robust by Tukey's
 //! biweight; a lobe is believed only where it explains a good part of the scatter, so that matt surfaces are left as
 //! they are to the last bit.
 
@@ -24,7 +25,11 @@ const ALPHAS: [f32; 16] =
     [0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.125, 0.15, 0.18, 0.21, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6];
 
 /// Rounds of reweighting a width.
-const ROUNDS: usize = 8;
+const ROUNDS: usize = 16;
+
+/// Highlights count in full at first and are doubted more and more: the scale begins so many times as wide and is
+/// halved every round (graduated non-convexity: Blake and Zisserman, "Visual Reconstruction", 1987).
+const FIRST_SCALE: f32 = 64.0;
 
 /// Tukey's constant.
 const TUKEY: f32 = 4.685;
@@ -43,9 +48,6 @@ const LEAST_WEIGHT: f32 = 0.004;
 /// Standard deviation of the lobe's own shape, relative to its excess.
 const SHAPE_ERROR: f32 = 0.2;
 
-/// Share of a lobe's weight that single scattering sends back, about.
-const KEPT: f32 = 0.95;
-
 /// One reading of a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Glint {
@@ -55,6 +57,8 @@ pub struct Glint {
     pub weight: f32,
     /// Cosine between normal and view.
     pub facing: f32,
+    /// What a lobe of weight 1 adds to `ratio` by mirroring other lit surfaces.
+    pub mirrored: f32,
 }
 
 /// A gloss over a whole surface.
@@ -72,17 +76,18 @@ impl Lobe {
         self.weight * shape(self.alpha, facing)
     }
 
-    /// What the lobe sends to the camera where white would send `direct` by the flash and `bounced` by bounces.
-    pub fn sent(&self, facing: f32, direct: f32, bounced: f32) -> f32 {
-        self.excess(facing) * direct + self.sent_on() * bounced
-    }
-
     /// Share of bounced light that the lobe sends on: all ways on the whole, as from paint.
     pub fn sent_on(&self) -> f32 {
-        KEPT * self.weight
+        self.weight
     }
 
-    /// The reading without the gloss in the flash's direct light; what the gloss sends on of bounced light is
+    /// What the lobe sends to the camera where white would send `direct` by the flash, and `mirrored` is what the lobe
+    /// mirrors of other surfaces.
+    pub fn sent(&self, facing: f32, direct: f32, mirrored: f32) -> f32 {
+        self.excess(facing) * direct + self.weight * mirrored
+    }
+
+    /// The reading without the gloss in the flash's direct light; what the gloss mirrors of other surfaces is
     /// noted in [`Observation::gloss`]. The lobe's own uncertainty joins the variance, so that readings in the
     /// midst of a highlight count for little.
     pub fn take_off(&self, o: &mut Observation) {
@@ -92,7 +97,18 @@ impl Lobe {
             o.known[c] -= gloss;
             o.variance[c] += (SHAPE_ERROR * gloss).powi(2);
         }
-        o.gloss = self.sent_on();
+        o.gloss = self.weight;
+    }
+
+    /// Undoes [`Self::take_off`].
+    pub fn put_back(&self, o: &mut Observation) {
+        let excess = self.excess(o.facing);
+        for c in 0..3 {
+            let gloss = excess * o.white[c];
+            o.known[c] += gloss;
+            o.variance[c] -= (SHAPE_ERROR * gloss).powi(2);
+        }
+        o.gloss = 0.0;
     }
 
     /// Finds the gloss that many points share; `None` where they do not speak of one.
@@ -125,8 +141,14 @@ impl Lobe {
 fn shape(alpha: f32, facing: f32) -> f32 {
     let (c, square) = (facing.clamp(0.05, 1.0), alpha * alpha);
     let d = c * c * (square - 1.0) + 1.0;
-    let passed = 2.0 * c / (c + (square + (1.0 - square) * c * c).sqrt());
+    let passed = passed(alpha, c);
     PI * (square / (PI * d * d)) * passed * passed / (4.0 * c * c)
+}
+
+/// Smith's masking of GGX in a direction at this cosine.
+pub(super) fn passed(alpha: f32, cos: f32) -> f32 {
+    let square = alpha * alpha;
+    2.0 * cos / (cos + (square + (1.0 - square) * cos * cos).sqrt())
 }
 
 /// A lobe of one width on the way to its weight.
@@ -141,18 +163,20 @@ struct Trial {
 impl Trial {
     /// Weight and scale in turn; a scale that is given is kept.
     fn settle(points: &[&[Glint]], alpha: f32, given: Option<f32>) -> Self {
-        let mut trial = Self { alpha, weight: 0.0, scale: given.unwrap_or(f32::INFINITY) };
+        let mut trial = Self { alpha, weight: 0.0, scale: f32::INFINITY };
+        let mut wide = FIRST_SCALE;
         for _ in 0..ROUNDS {
-            if given.is_none() {
-                trial.scale = trial.spread(points);
-            }
+            let scale = given.unwrap_or_else(|| trial.spread(points));
+            trial.scale = scale * wide;
             trial.weight = trial.next_weight(points).max(0.0);
+            trial.scale = scale;
+            wide = (wide / 2.0).max(1.0);
         }
         trial
     }
 
     fn excess(&self, g: &Glint) -> f32 {
-        self.weight * shape(self.alpha, g.facing)
+        self.weight * (shape(self.alpha, g.facing) + g.mirrored)
     }
 
     /// The point's reflectance under the present lobe: weighted mean, after Tukey from the weighted median on.
@@ -217,7 +241,7 @@ impl Trial {
             let mean = |of: &dyn Fn(&Glint) -> f32| {
                 point.iter().zip(&weights).map(|(g, w)| w * of(g)).sum::<f32>() / all
             };
-            let lobe = |g: &Glint| shape(self.alpha, g.facing);
+            let lobe = |g: &Glint| shape(self.alpha, g.facing) + g.mirrored;
             let (ratio, shade) = (mean(&|g| g.ratio), mean(&lobe));
             for (g, w) in point.iter().zip(&weights) {
                 let x = lobe(g) - shade;
@@ -257,9 +281,10 @@ mod tests {
                 (0..12)
                     .map(|_| {
                         let facing = random.random_range(0.25f32..1.0);
-                        let gloss = lobe.map_or(0.0, |l| l.excess(facing));
+                        let mirrored = random.random_range(0.0..0.3);
+                        let gloss = lobe.map_or(0.0, |l| l.excess(facing) + l.weight * mirrored);
                         let ratio = rho + gloss + noise.sample(&mut random);
-                        Glint { ratio, weight: 1.0 / (NOISE * NOISE), facing }
+                        Glint { ratio, weight: 1.0 / (NOISE * NOISE), facing, mirrored }
                     })
                     .collect()
             })
@@ -295,6 +320,6 @@ mod tests {
         };
         lobe.take_off(&mut o);
         assert!((o.known[1] - 400.0).abs() < 1e-2, "{o:?}");
-        assert!(o.variance[1] > 100.0 && o.gloss > 0.08);
+        assert!(o.variance[1] > 100.0 && o.gloss == lobe.weight);
     }
 }

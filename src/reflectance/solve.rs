@@ -208,6 +208,34 @@ mod tests {
     }
 
     #[test]
+    fn noise_alone_moves_the_mean_nowhere() {
+        use rand::{RngExt as _, SeedableRng as _};
+        use rand_distr::{Distribution as _, Normal};
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
+        let (points, views, rho, sigma) = (6000, 12, 0.4f32, 0.03f32);
+        let noise = Normal::new(0.0, sigma).unwrap();
+        let mut sum = 0.0f64;
+        for _ in 0..points {
+            let readings: Vec<Reading> = (0..views)
+                .map(|_| {
+                    let white: f32 = random.random_range(500.0..4000.0);
+                    let known = [0, 1, 2].map(|_| white * (rho + noise.sample(&mut random)));
+                    Reading {
+                        known,
+                        variance: [(sigma * white).powi(2); 3],
+                        white: [white; 3],
+                        resolution: 1.0,
+                    }
+                })
+                .collect();
+            let found = solve(&readings).unwrap().rho;
+            sum += found.iter().map(|r| f64::from(r - rho)).sum::<f64>() / 3.0;
+        }
+        let bias = sum / f64::from(points);
+        assert!(bias.abs() < 0.1 * f64::from(sigma) / f64::from(views).sqrt(), "{bias}");
+    }
+
+    #[test]
     fn without_light_there_is_no_answer() {
         assert_eq!(solve(&[]), None);
         assert_eq!(solve(&[reading(0.0, 0.4, 0.0)]), None);

@@ -156,7 +156,7 @@ impl<'a> Solver<'a> {
         let direct = self.stage.direct(&light);
         progress.check()?;
         let seen = view.observe_elements(elements, &direct);
-        self.lights.push(ViewLight { direct, radiance: lamp.radiance, seen });
+        self.lights.push(ViewLight { eye: camera.centre().as_vec3(), direct, radiance: lamp.radiance, seen });
         Ok(())
     }
 

@@ -111,7 +111,12 @@ fn estimate(
         let view = View { illumination: &light, known: &look.known };
         let direct = stage.direct(&light);
         let seen = view.observe_elements(elements, &direct);
-        views.push(ViewLight { direct, radiance: look.lamp.radiance, seen });
+        views.push(ViewLight {
+            eye: look.camera.centre().as_vec3(),
+            direct,
+            radiance: look.lamp.radiance,
+            seen,
+        });
     }
     Ok(Bounces::settle(elements, transport, &views, progress)?.rho)
 }

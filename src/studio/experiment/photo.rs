@@ -6,6 +6,7 @@ use super::table::Pool;
 use crate::calibration::FieldFactor;
 use crate::photometry::{Cfa, IsolateError, Known, LevelSource, Levels, Mosaic, NoiseModel, isolate};
 use crate::raster::{Image, Rgb};
+use crate::reflectance::maps::divided;
 use crate::reflectance::observe::Lamp;
 use crate::studio::world::lab::{self, Shot};
 
@@ -116,12 +117,12 @@ impl Both {
         }
     }
 
-    /// Adds the errors of reflectance = known / white against a shot's truth.
+    /// Adds the errors of reflectance = known / white against a shot's truth, where the light is enough for the
+    /// program to give a reflectance.
     pub(super) fn add_reflectance(&mut self, shot: &Shot, known: &Known, white: &Rgb) {
         self.add(shot, |x, y| {
-            let (p, m, truth) = (known.rgb.at(x, y), white.at(x, y), shot.albedo.at(x, y));
-            let told = *known.valid.at(x, y) && m.iter().all(|m| *m > 0.0);
-            told.then(|| [0, 1, 2].map(|c| p[c] / m[c] - truth[c]))
+            let (m, truth) = (white.at(x, y), shot.albedo.at(x, y));
+            divided(known, x, y, *m).map(|rho| [0, 1, 2].map(|c| rho[c] - truth[c]))
         });
     }
 

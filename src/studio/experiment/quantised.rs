@@ -58,7 +58,7 @@ fn looks(pixel: Pixel, options: Options, progress: &Progress) -> Result<Vec<Look
     for stop in stops {
         let camera = &cameras[stop - 1];
         let shot = match (pixel, options.quick) {
-            (Pixel::Spot, true) => lab.shoot_spots(camera, 128, options.seed, progress)?,
+            (Pixel::Spot, true) => lab.shoot_spots(camera, 256, options.seed, progress)?,
             (Pixel::Spot, false) => lab.shoot_spots(camera, 512, options.seed, progress)?,
             (Pixel::Square, true) => lab.shoot(camera, (32, 8), options.seed, progress)?,
             (Pixel::Square, false) => lab.shoot(camera, (256, 64), options.seed, progress)?,
@@ -234,6 +234,7 @@ pub(super) fn precision(options: Options, progress: &Progress) -> Result<Outcome
 fn about(views: usize) -> String {
     format!(
         "{views} view(s) of 336 x 224 pixels without noise and without bounces, rounded to whole numbers; the \
-         object's brightest pixel at 92 % of the range. Estimate - truth; clipped pixels are not counted."
+         object's brightest pixel at 92 % of the range. Estimate - truth; clipped pixels are not \
+         counted, nor those where white is below ten times the rounding's own scatter."
     )
 }

@@ -1,0 +1,109 @@
+//! What a gloss mirrors of the lit surfaces round it.
+//!
+//! From the middle of each glossy element leave rays along the lobe, as the camera sees it: microfacets drawn with
+//! density D cos, the view mirrored in them, each counting by G (v.h) / (cos_v cos_h) (Walter et al., EGSR 2007,
+//! eq. 41). Their mean of the exitance that they meet, times the lobe's weight, adds to the reading as a white
+//! surface's bounced irradiance would.
+
+use super::robust::{Lobe, passed};
+use crate::light::Elements;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::f32::consts::TAU;
+
+/// Rays an element; neighbours are averaged when the result is smoothed.
+const RAYS: usize = 12;
+
+/// Steps of an even spread in two dimensions: powers of 1 / 1.324718, root of x^3 = x + 1.
+const KRONECKER: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053];
+
+/// Mirrored light, DN of irradiance, on every element whose mesh has a gloss and that faces `eye` (metres, world frame);
+/// 0 elsewhere. `exitance`, DN, is what each element sends out.
+pub(super) fn mirrored(
+    elements: &Elements,
+    eye: Vec3,
+    gloss: &[Option<Lobe>],
+    exitance: &[[f32; 3]],
+) -> Vec<[f32; 3]> {
+    (0..elements.len())
+        .into_par_iter()
+        .map(|e| match gloss[elements.mesh_of(e)] {
+            Some(lobe) => of_element(elements, e, eye, lobe.alpha, exitance),
+            None => [0.0; 3],
+        })
+        .collect()
+}
+
+fn of_element(elements: &Elements, e: usize, eye: Vec3, alpha: f32, exitance: &[[f32; 3]]) -> [f32; 3] {
+    let (normal, centre) = (elements.normal(e), elements.centroid(e));
+    let view = (eye - centre).normalize_or_zero();
+    let facing = normal.dot(view);
+    let mut sum = [0.0; 3];
+    if facing <= 0.0 {
+        return sum;
+    }
+    let [a, b, c] = *elements.kernel().corners(e as u32);
+    let size = (b - a).length().max((c - a).length());
+    let start = centre + normal * (1e-5 * centre.abs().max_element().max(size) + 1e-3 * size);
+    let (side, other) = normal.any_orthonormal_pair();
+    // A shift of its own for every element, so that what one misses another finds.
+    let shift = (e as f64 * 0.618_033_988_749_895).fract();
+    for i in 0..RAYS {
+        let [u, turn] = KRONECKER.map(|k| ((i as f64 + 0.5) * k + shift).fract() as f32);
+        let tilt = ((1.0 - u) / (1.0 + (alpha * alpha - 1.0) * u)).max(0.0).sqrt();
+        let (sin, cos) = (TAU * turn).sin_cos();
+        let half = normal * tilt + (side * cos + other * sin) * (1.0 - tilt * tilt).max(0.0).sqrt();
+        let seen = view.dot(half);
+        let way = half * (2.0 * seen) - view;
+        let leaving = normal.dot(way);
+        if seen <= 0.0 || leaving <= 0.0 || tilt <= 0.0 {
+            continue;
+        }
+        let Some(hit) = elements.kernel().nearest(start, way, 0.0, f32::INFINITY) else { continue };
+        let met = hit.triangle as usize;
+        if elements.normal(met).dot(way) >= 0.0 {
+            continue;
+        }
+        let share = passed(alpha, facing) * passed(alpha, leaving) * seen / (facing * tilt);
+        (0..3).for_each(|c| sum[c] += share * exitance[met][c] / RAYS as f32);
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Mesh;
+
+    /// Two plates of 2 m at right angles, the first lying, the second standing at x = 1.
+    fn corner() -> Elements {
+        let quad = |p: [[f32; 3]; 4]| Mesh {
+            positions: p.map(Vec3::from).into(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
+        };
+        let lying = quad([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]);
+        let standing = quad([[1.0, -9.0, 0.0], [1.0, -9.0, 9.0], [1.0, 9.0, 9.0], [1.0, 9.0, 0.0]]);
+        Elements::build(&[&lying, &standing], &[0.2, 1.0])
+    }
+
+    #[test]
+    fn a_narrow_lobe_mirrors_what_stands_opposite_the_eye_and_nothing_else() {
+        let elements = corner();
+        let exitance: Vec<[f32; 3]> = (0..elements.len())
+            .map(|e| if elements.mesh_of(e) == 1 { [5.0, 2.0, 1.0] } else { [0.0; 3] })
+            .collect();
+        let gloss = [Some(Lobe { weight: 0.1, alpha: 0.02 }), None];
+        let opposite = mirrored(&elements, Vec3::new(-3.0, 0.0, 3.0), &gloss, &exitance);
+        let away = mirrored(&elements, Vec3::new(9.0, 0.0, 9.0), &gloss, &exitance);
+        for e in (0..elements.len()).filter(|&e| elements.mesh_of(e) == 0) {
+            assert!(
+                (opposite[e][0] - 5.0).abs() < 0.1 && (opposite[e][2] - 1.0).abs() < 0.02,
+                "{:?}",
+                opposite[e]
+            );
+            assert_eq!(away[e], [0.0; 3]);
+        }
+        assert!((0..elements.len()).filter(|&e| elements.mesh_of(e) == 1).all(|e| opposite[e] == [0.0; 3]));
+    }
+}
