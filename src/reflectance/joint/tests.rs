@@ -79,8 +79,13 @@ fn texture_energies_and_the_lens_blur_come_back_from_noisy_photographs() {
         assert!((found.value / common - gain).abs() < 0.002, "{} for {gain}", found.value / common);
     }
     assert!((common - 1.0).abs() < 0.005, "{common}");
-    let (before, after) = (rms(&start, &truth, 6), rms(&found.texels, &truth, 6));
-    assert!(after < 0.3 * before && after < 0.05, "{before} {after}");
+    // As the lens shows it: finer detail than that no photograph tells.
+    let seen = |texels: &Texels| -> Texels {
+        let picture = flat_view(0, WHITE).predict(texels, false, blur);
+        picture.pixels().iter().map(|p| p.map(|v| v / WHITE)).collect()
+    };
+    let (before, after) = (rms(&seen(&start), &seen(&truth), 8), rms(&seen(&found.texels), &seen(&truth), 8));
+    assert!(after < 0.1 * before && after < 0.01, "{before} {after}");
     assert!(found.runs.windows(2).all(|r| r[1].misfit < 1.05 * r[0].misfit), "{:?}", found.runs);
 }
 

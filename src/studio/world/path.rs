@@ -477,7 +477,8 @@ mod tests {
         };
         let tracer = Tracer::new(vec![surface], vec![], [1.0; 3]);
         let seen = mean(&tracer, Vec3::Z, None, 1 << 14);
-        assert!((0.3 + 0.18..0.3 + 0.2).contains(&seen.ambient[0]), "{}", seen.ambient[0]);
+        // The lobe's share at normal view, by a Monte Carlo integration outside of this program.
+        assert!((seen.ambient[0] - 0.3 - 0.2 * 0.786).abs() < 0.003, "{}", seen.ambient[0]);
     }
 
     #[test]

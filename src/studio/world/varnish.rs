@@ -4,7 +4,7 @@
 //! through Rough Surfaces" (EGSR 2007): GGX distribution, Smith's separable masking, no Fresnel term, the same in
 //! all channels. `f = weight D G / (4 cos cos')` is added to the base's `rho / pi`; the base is not dimmed, so
 //! that the truth is the base's own reflectance and `weight` is the share of light that the lobe sends back
-//! (less what single scattering loses, a few per cent).
+//! (less what single scattering loses: 3 % at a width of 0.15, 8 % at 0.25, 22 % at 0.4).
 
 use glam::{Vec2, Vec3};
 use std::f32::consts::{PI, TAU};
@@ -73,7 +73,8 @@ mod tests {
     #[test]
     fn directions_are_drawn_with_the_chance_that_is_told_and_the_lobe_reflects_its_weight() {
         let to_eye = Vec3::new(0.3, 0.1, 0.9).normalize();
-        for alpha in [0.15, 0.4] {
+        // Shares by a Monte Carlo integration outside of this program.
+        for (alpha, share) in [(0.15, 0.970), (0.4, 0.782)] {
             let varnish = Varnish { weight: 0.2, alpha };
             // Light that the lobe sends back, by its own directions and by even ones: both must agree.
             let (mut own, mut even) = (0.0, 0.0);
@@ -92,7 +93,7 @@ mod tests {
             }
             let (own, even) = (own / n as f32, even / n as f32);
             assert!((own / even - 1.0).abs() < 0.01, "{own} {even}");
-            assert!((0.9 * 0.2..=0.2).contains(&own), "{own} at {alpha}");
+            assert!((own / 0.2 - share).abs() < 0.01, "{own} at {alpha}");
         }
     }
 }
