@@ -17,6 +17,9 @@ pub(super) struct Args {
     /// The object's texture coordinates: its own where they can be used, else new ones; its own or none; new ones.
     #[arg(long, value_enum, default_value = "auto")]
     uvs: Uvs,
+    /// Threads to compute on; all cores by default. Results are the same for any number.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
     /// Also per-view images: derived/views/NAME/{known,irradiance,reflectance}.exr.
     #[arg(long)]
     views: bool,
@@ -44,7 +47,9 @@ pub(super) fn run(args: &Args) -> CliResult {
     let session = Session::open(&args.session).map_err(CliError::new)?;
     let options = ProcessOptions { texture_size: args.texture_size, views: args.views, uvs: args.uvs.into() };
     let (bar, progress) = progress_bar::watched();
-    let summary = process(&session, &options, &progress);
+    let threads = usize::from(args.threads.unwrap_or(0));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(CliError::new)?;
+    let summary = pool.install(|| process(&session, &options, &progress));
     bar.finish_and_clear();
     let summary = summary.map_err(CliError::new)?;
     for left in &summary.left_out {

@@ -78,7 +78,7 @@ fn prepared(folder: &Path) -> String {
         "--mesh",
         &floor,
     ]);
-    assert!(said.contains("they will be made"), "{said}");
+    assert!(said.contains("without UVs"), "{said}");
     let shots = ["0.5=d0500", "0.8=d0800", "1.3=d1300"].map(|shot| {
         let (metres, stem) = shot.split_once('=').unwrap();
         format!("{metres}={}", file(&format!("calibration/white/{stem}_0.dng")))

@@ -182,8 +182,9 @@ fn a_pulse_of_more_energy_means_less_known_light(session: &Session) {
     std::fs::write(&file, record.to_string()).unwrap();
     views();
     let after = ["0001", "0002"].map(known);
-    assert!((before[0] / after[0] - 1.25).abs() < 1e-4, "{before:?} {after:?}");
-    assert!((before[1] / after[1] - 1.0).abs() < 1e-4, "{before:?} {after:?}");
+    // The photographs have a small say beside the measurement.
+    assert!((before[0] / after[0] - 1.25).abs() < 2e-3, "{before:?} {after:?}");
+    assert!((before[1] / after[1] - 1.0).abs() < 2e-3, "{before:?} {after:?}");
 }
 
 #[test]
