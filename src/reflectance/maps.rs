@@ -7,7 +7,7 @@
 //! Where the view shows the object, [`own_look`] does better than a ratio: light and colour change within the lens's
 //! blur, and a ratio of blurred light is not the blurred ratio. What the texture leaves of the sensor sites is
 //! interpolated instead of the sites themselves (demosaicing by residuals: Kiku, Monno, Tanaka and Okutomi, "Residual
-//! interpolation for color image demosaicking", 2013), and counts by its own noise against [`OWN`].
+//! interpolation for color image demosaicking", 2013), and counts by its own noise against `OWN`.
 
 use super::observe::Illumination;
 use super::project::Projection;

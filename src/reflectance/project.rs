@@ -1,6 +1,6 @@
 //! A photograph as a linear function of the texture: what every sensor site would have read.
 //!
-//! Through each pixel of the part of the frame that shows the object go [`GRID`] x [`GRID`] rays. Where one meets the
+//! Through each pixel of the part of the frame that shows the object go `GRID` x `GRID` rays. Where one meets the
 //! object, the light that a white surface would have sent back there is known (direct flash, bounces, field factor:
 //! `white`, DN), so that the reading of a site of colour c is
 //!

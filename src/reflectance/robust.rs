@@ -11,7 +11,7 @@
 //! of many points, `weight` and `alpha` are fitted together with every `rho_i` (their scatter about it tells the
 //! gloss from the paint). g is a microfacet lobe after Walter et al. (EGSR 2007), GGX with Smith's masking, seen
 //! along its own half vector, in units of what white sends back: `g = pi D G / (4 cos^2)`; `mirrored` is the light of
-//! other surfaces along the lobe, in the same units ([`super::mirror`]). Robust by Tukey's
+//! other surfaces along the lobe, in the same units (`super::mirror`). Robust by Tukey's
 //! biweight; a lobe is believed only where it explains a good part of the scatter, so that matt surfaces are left as
 //! they are to the last bit.
 

@@ -3,7 +3,7 @@
 //! Takes meshes with their reflectance, a ring round the lens, and asks at surface points or over a pixel's square:
 //! how much of the ring's light falls there, straight and by way of other surfaces? Straight light is the mean over
 //! random points of the ring with a shadow ray each; bounced light the mean of pi times the radiance that comes
-//! from cosine-distributed directions, each followed as a path ([`super::path`]). Neither a closed form nor the
+//! from cosine-distributed directions, each followed as a path (`super::path`). Neither a closed form nor the
 //! transport operator of [`crate::light`] has any part in it: the ray kernel alone is shared.
 //!
 //! Every answer comes in two halves with independent noise, m1 and m2, so that a tested value e has the mean square
