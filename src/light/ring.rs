@@ -99,37 +99,26 @@ impl Ring {
             return 0.0;
         }
         let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
+        let element = Element { kernel, world_from_camera, point, normal, start };
         // A turn of its own for every point: what one point's samples miss another's find, and no bands appear.
-        let turn = f64::from(scrambled(start));
+        let turn = f64::from(scrambled(element.start));
         let at = |radius: f64, angle: f64| (radius * DVec2::from_angle(TAU * (angle + turn))).extend(0.0);
-        let share = |lamp: DVec3| form(lamp, point, normal);
-        let visible = |lamp: DVec3| {
-            let way = world_from_camera.transform_point3(lamp).as_vec3() - start;
-            !kernel.occluded(start, way, 0.0, 1.0)
-        };
-        let rims = (0..OUTER_PROBES)
+        let mut rims = (0..OUTER_PROBES)
             .map(|i| at(self.outer, i as f64 / OUTER_PROBES as f64))
-            .chain((0..INNER_PROBES).map(|i| at(self.inner, (i as f64 + 0.5) / INNER_PROBES as f64)));
-        let mut probes = rims.filter(|&lamp| share(lamp) > 0.0).map(visible);
-        if probes.all(|seen| seen) {
+            .chain((0..INNER_PROBES).map(|i| at(self.inner, (i as f64 + 0.5) / INNER_PROBES as f64)))
+            .filter(|&lamp| element.share(lamp) > 0.0)
+            .peekable();
+        // Rims that are all below the horizon tell nothing.
+        if rims.peek().is_some() && rims.all(|lamp| element.sees(lamp)) {
             return clear;
         }
-        let (mut all, mut lit) = (0.0, 0.0);
-        for i in 0..CIRCLES * SECTORS {
+        let points = (0..CIRCLES * SECTORS).map(|i| {
             let (circle, sector) = (i % CIRCLES, i / CIRCLES);
             let part = (circle as f64 + 0.5) / CIRCLES as f64;
-            let square = self.inner * self.inner * (1.0 - part) + self.outer * self.outer * part;
             let slant = circle as f64 / CIRCLES as f64;
-            let lamp = at(square.sqrt(), (sector as f64 + slant) / SECTORS as f64);
-            let part = share(lamp);
-            if part > 0.0 {
-                all += part;
-                if visible(lamp) {
-                    lit += part;
-                }
-            }
-        }
-        if all > 0.0 { clear * lit / all } else { 0.0 }
+            at(self.radius(part), (sector as f64 + slant) / SECTORS as f64)
+        });
+        clear * element.lit(points, self.outer)
     }
 
     /// The same by the share of four points of the ring alone that see the element, for whoever takes the mean over
@@ -147,23 +136,19 @@ impl Ring {
             return 0.0;
         }
         let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
-        let (turn, slide) = (f64::from(scrambled(start)), f64::from(scrambled(start.zxy())));
-        let (mut all, mut lit) = (0.0, 0.0);
-        for i in 0..GLIMPSE {
+        let element = Element { kernel, world_from_camera, point, normal, start };
+        let (turn, slide) = (f64::from(scrambled(element.start)), f64::from(scrambled(element.start.zxy())));
+        let points = (0..GLIMPSE).map(|i| {
             let part = (f64::from(i) * 0.618_033_988_749_895 + slide).fract();
-            let square = self.inner * self.inner * (1.0 - part) + self.outer * self.outer * part;
             let angle = TAU * (f64::from(i) / f64::from(GLIMPSE) + turn);
-            let lamp = (square.sqrt() * DVec2::from_angle(angle)).extend(0.0);
-            let share = form(lamp, point, normal);
-            if share > 0.0 {
-                all += share;
-                let way = world_from_camera.transform_point3(lamp).as_vec3() - start;
-                if !kernel.occluded(start, way, 0.0, 1.0) {
-                    lit += share;
-                }
-            }
-        }
-        if all > 0.0 { clear * lit / all } else { clear }
+            (self.radius(part) * DVec2::from_angle(angle)).extend(0.0)
+        });
+        clear * element.lit(points, self.outer)
+    }
+
+    /// Radius inside which this share of the ring's area lies.
+    fn radius(&self, share: f64) -> f64 {
+        (self.inner * self.inner * (1.0 - share) + self.outer * self.outer * share).sqrt()
     }
 
     /// The i-th of `n` equal-area points, camera frame, metres; any run of them is spread over the ring: the
@@ -171,9 +156,47 @@ impl Ring {
     fn point(&self, i: usize, n: usize) -> DVec3 {
         let halving = f64::from((i as u32).reverse_bits()) / 2f64.powi(32);
         let share = halving + 0.5 / n.next_power_of_two() as f64;
-        let radius = (self.inner * self.inner * (1.0 - share) + self.outer * self.outer * share).sqrt();
         let angle = TAU * (i as f64 * 0.618_033_988_749_895).fract();
-        (radius * DVec2::from_angle(angle)).extend(0.0)
+        (self.radius(share) * DVec2::from_angle(angle)).extend(0.0)
+    }
+}
+
+/// An element under the lamp, camera frame, and where its shadow rays start, world frame.
+struct Element<'a> {
+    kernel: &'a RayKernel,
+    world_from_camera: &'a glam::DAffine3,
+    point: DVec3,
+    normal: DVec3,
+    start: Vec3,
+}
+
+impl Element<'_> {
+    /// What a point of the lamp gives it if nothing is in the way.
+    fn share(&self, lamp: DVec3) -> f64 {
+        form(lamp, self.point, self.normal)
+    }
+
+    fn sees(&self, lamp: DVec3) -> bool {
+        let way = self.world_from_camera.transform_point3(lamp).as_vec3() - self.start;
+        !self.kernel.occluded(self.start, way, 0.0, 1.0)
+    }
+
+    /// Share of these points' light that reaches it. Where the horizon hides all of them, the highest point of the
+    /// outer rim stands for the sliver that is left.
+    fn lit(&self, points: impl Iterator<Item = DVec3>, outer: f64) -> f64 {
+        let (mut all, mut lit) = (0.0, 0.0);
+        for lamp in points {
+            let share = self.share(lamp);
+            if share > 0.0 {
+                all += share;
+                lit += if self.sees(lamp) { share } else { 0.0 };
+            }
+        }
+        if all > 0.0 {
+            return lit / all;
+        }
+        let highest = outer * self.normal.truncate().normalize_or_zero();
+        f64::from(u8::from(self.sees(highest.extend(0.0))))
     }
 }
 
@@ -269,6 +292,29 @@ mod tests {
             let lit = ring.shadowed_irradiance(&kernel, &glam::DAffine3::IDENTITY, point, normal, 1e-4);
             let share = lit / ring.irradiance(point, normal);
             assert!((share - 0.5).abs() < 0.05, "{share} from side {side}");
+        }
+    }
+
+    #[test]
+    fn the_sliver_above_the_horizon_is_shadowed_like_the_rest() {
+        let ring = Ring::new(0.035, 0.085).unwrap();
+        let point = DVec3::new(0.0, 0.0, 0.5);
+        // The horizon leaves some 1e-5 of the ring's radius at its rightmost point.
+        let normal = DVec3::new(1.0, 0.0, 0.085 * 0.99999 / 0.5).normalize();
+        let wall = |x: f32| {
+            let quad = [[x, -9.0], [9.0, -9.0], [9.0, 9.0], [x, 9.0]].map(|[x, y]| Vec3::new(x, y, 0.2));
+            RayKernel::build(vec![[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]])
+        };
+        for (kernel, lit) in [(wall(0.0), 0.0), (wall(8.0), 1.0)] {
+            let element = Element {
+                kernel: &kernel,
+                world_from_camera: &glam::DAffine3::IDENTITY,
+                point,
+                normal,
+                start: (point + normal * 1e-4).as_vec3(),
+            };
+            let hidden = std::iter::once(DVec3::new(-0.05, 0.0, 0.0));
+            assert_eq!(element.lit(hidden, ring.outer), lit);
         }
     }
 

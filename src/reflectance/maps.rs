@@ -9,7 +9,7 @@
 //! interpolated instead of the sites themselves (demosaicing by residuals: Kiku, Monno, Tanaka and Okutomi, "Residual
 //! interpolation for color image demosaicking", 2013), and counts by its own noise against `OWN`.
 
-use super::observe::Illumination;
+use super::observe::{GRAZING, Illumination};
 use super::project::Projection;
 use crate::light::{Elements, Finish, Spot, expose, interpolate};
 use crate::photometry::Known;
@@ -17,9 +17,6 @@ use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
 use glam::DVec2;
 use std::f64::consts::PI;
-
-/// Least cosine towards the camera: beyond it (84 degrees), and from behind, nothing is told.
-const GRAZING: f32 = 0.1;
 
 /// Largest standard deviation (of 1) of a reflectance that is given.
 pub const MOST_DEVIATION: f32 = 0.1;
@@ -51,7 +48,7 @@ pub fn view_maps(
     let corners = elements.smooth(bounced);
     let (camera, lamp) = (light.camera(), light.lamp());
     let shade = |spot: &Spot| {
-        (spot.facing > GRAZING).then(|| {
+        (f64::from(spot.facing) > GRAZING).then(|| {
             let unit = light.glimpsed(spot.point, spot.normal);
             let bounce = interpolate(&corners[spot.element], spot.at);
             std::array::from_fn(|c| (lamp.radiance[c] * unit) as f32 + bounce[c])

@@ -10,7 +10,7 @@ use std::f64::consts::PI;
 
 /// Least cosine between normal and direction to the camera: beyond it (84 degrees) a pixel's footprint is
 /// ten times as long as wide.
-const GRAZING: f64 = 0.1;
+pub(super) const GRAZING: f64 = 0.1;
 
 /// Standard deviation, relative to the reading, of a pixel beside an occlusion edge: it counts only where
 /// nothing better is to be had.

@@ -14,7 +14,7 @@
 //! resolution by image registration", 1991, for the idea of solving in the scene for what blurred images show.)
 
 use super::mirror::mirrored;
-use super::observe::Illumination;
+use super::observe::{GRAZING, Illumination};
 use super::robust::Lobe;
 use crate::light::{Elements, RayKernel, interpolate};
 use crate::photometry::KnownMosaic;
@@ -29,9 +29,6 @@ use std::f64::consts::PI;
 
 /// Rays along each side of a pixel.
 const GRID: usize = 2;
-
-/// Least cosine towards the camera at which a surface's colour is told apart from its neighbours' (84 degrees).
-const GRAZING: f32 = 0.1;
 
 /// The rays of a pixel share one shadow test if their surfaces part by no more than this (cosine), and lie no
 /// farther apart than so many pixels' footprints.
@@ -379,7 +376,7 @@ fn row(around: &Surroundings, lit: &Lit, window: &Window, wanted: &Image<bool>, 
             let place = if met.mesh == 0 { place(around, met.triangle as usize, met.uv) } else { None };
             match place {
                 Some((texel, at)) => {
-                    if met.facing < GRAZING {
+                    if f64::from(met.facing) < GRAZING {
                         out.unknown[x] += one;
                     }
                     out.samples.push(Sample { pixel: (y * window.width + x) as u32, texel, at, white });

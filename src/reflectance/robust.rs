@@ -16,6 +16,7 @@
 //! they are to the last bit.
 
 use super::observe::Observation;
+use super::solve::{MEDIAN_OF_NORMAL, TUKEY, tukey};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::f32::consts::PI;
@@ -30,9 +31,6 @@ const ROUNDS: usize = 16;
 /// Highlights count in full at first and are doubted more and more: the scale begins so many times as wide and is
 /// halved every round (graduated non-convexity: Blake and Zisserman, "Visual Reconstruction", 1987).
 const FIRST_SCALE: f32 = 64.0;
-
-/// Tukey's constant.
-const TUKEY: f32 = 4.685;
 
 /// Points with fewer readings tell no excess.
 const LEAST_READINGS: usize = 5;
@@ -207,8 +205,7 @@ impl Trial {
     }
 
     fn trust(&self, deviations: f32) -> f32 {
-        let x = deviations / (TUKEY * self.scale);
-        if x.abs() < 1.0 { (1.0 - x * x).powi(2) } else { 0.0 }
+        tukey(deviations / self.scale)
     }
 
     fn residuals(&self, point: &[Glint]) -> Vec<f32> {
@@ -224,7 +221,7 @@ impl Trial {
             return 1.0;
         }
         let (_, median, _) = sizes.select_nth_unstable_by(middle, f32::total_cmp);
-        (*median / 0.6745).max(1e-3)
+        (*median / MEDIAN_OF_NORMAL).max(1e-3)
     }
 
     /// Weighted regression of the readings' departures from their point's mean on the lobe's.

@@ -8,10 +8,10 @@
 //! distances): fine texture makes them part more than noise does, and an outlier is what parts more than the others.
 
 /// Tukey's constant: 95 % efficiency on Gaussian errors.
-const TUKEY: f32 = 4.685;
+pub(super) const TUKEY: f32 = 4.685;
 
 /// Median of the absolute value of a Gaussian, so that a median of distances becomes a standard deviation.
-const MEDIAN_OF_NORMAL: f32 = 0.6745;
+pub(super) const MEDIAN_OF_NORMAL: f32 = 0.6745;
 
 /// Error of the model beside sensor noise (pose, mesh, lens), relative to the reading.
 const MODEL_ERROR: f32 = 0.02;

@@ -5,7 +5,7 @@ use crate::photometry::FlashGain;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::blur::{gaussian, gaussian_each};
 use crate::raster::{Image, Rgb};
-use crate::reflectance::solve::tukey;
+use crate::reflectance::solve::{MEDIAN_OF_NORMAL, tukey};
 use rayon::prelude::*;
 
 /// Model error, relative to the reading.
@@ -119,7 +119,7 @@ impl State<'_> {
         let mut sizes: Vec<f32> = squares.iter().map(|(_, e)| e.abs()).collect();
         if let Some(middle) = sizes.len().checked_sub(1).map(|n| n / 2) {
             let (_, median, _) = sizes.select_nth_unstable_by(middle, f32::total_cmp);
-            let scale = (*median / 0.6745).max(1.0);
+            let scale = (*median / MEDIAN_OF_NORMAL).max(1.0);
             for (i, e) in squares {
                 sites[i] *= tukey(e / scale);
             }
