@@ -2,6 +2,7 @@
 
 use super::{CliError, CliResult, Exit, progress_bar};
 use crate::pipeline::process::{ProcessOptions, process};
+use crate::pipeline::solve::MEMORY;
 use crate::reflectance::unwrap::{UvChoice, UvSource};
 use crate::session::Session;
 use std::path::PathBuf;
@@ -20,6 +21,10 @@ pub(super) struct Args {
     /// Threads to compute on; all cores by default. Results are the same for any number.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+    /// Memory for the views of one piece of the texture, GB; what needs more is solved in pieces, and a run that was
+    /// stopped goes on at the first piece that is missing.
+    #[arg(long, value_name = "GB", default_value_t = MEMORY, value_parser = gigabytes)]
+    memory: f64,
     /// Also per-view images: derived/views/NAME/{known,irradiance,reflectance}.exr.
     #[arg(long)]
     views: bool,
@@ -43,9 +48,19 @@ impl From<Uvs> for UvChoice {
     }
 }
 
+fn gigabytes(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "expected a number of gigabytes, as 2 or 0.5".to_owned())?;
+    if (0.001..=1e6).contains(&value) { Ok(value) } else { Err("expected 0.001 to 1000000 gigabytes".into()) }
+}
+
 pub(super) fn run(args: &Args) -> CliResult {
     let session = Session::open(&args.session).map_err(CliError::new)?;
-    let options = ProcessOptions { texture_size: args.texture_size, views: args.views, uvs: args.uvs.into() };
+    let options = ProcessOptions {
+        texture_size: args.texture_size,
+        views: args.views,
+        uvs: args.uvs.into(),
+        memory: Some(args.memory),
+    };
     let (bar, progress) = progress_bar::watched();
     let threads = usize::from(args.threads.unwrap_or(0));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(CliError::new)?;
@@ -74,6 +89,12 @@ pub(super) fn run(args: &Args) -> CliResult {
         summary.median_deviation,
         n = summary.texture_size
     );
+    if summary.pieces > 1 {
+        println!(
+            "the texture was solved in {} pieces of at most {} GB (--memory)",
+            summary.pieces, args.memory
+        );
+    }
     let [r, g, b] = summary.blur;
     println!("the lens blurs by {r:.2}, {g:.2}, {b:.2} pixels (standard deviation; red, green, blue)");
     for (mesh, lobe) in summary.gloss.iter().enumerate() {

@@ -123,6 +123,11 @@ impl Patches {
         self.all[patch].mesh as usize
     }
 
+    /// Centroid in metres, world frame.
+    pub fn centre(&self, patch: usize) -> Vec3 {
+        self.all[patch].centre
+    }
+
     /// Area in square metres.
     pub fn area(&self, patch: usize) -> f32 {
         self.all[patch].area

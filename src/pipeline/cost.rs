@@ -25,11 +25,15 @@ impl Costs {
         Self { began: (Instant::now(), cpu()), list: vec![] }
     }
 
-    /// Ends a stage, and begins the next.
+    /// Ends a stage, and begins the next; one that comes again adds to what it took before.
     pub(super) fn done(&mut self, stage: &str) {
         let (wall, before) = self.began;
         let now = cpu();
-        self.list.push(Cost { stage: stage.into(), wall: wall.elapsed().as_secs_f64(), cpu: now - before });
+        let (wall, cpu) = (wall.elapsed().as_secs_f64(), now - before);
+        match self.list.iter_mut().find(|c| c.stage == stage) {
+            Some(cost) => (cost.wall, cost.cpu) = (cost.wall + wall, cost.cpu + cpu),
+            None => self.list.push(Cost { stage: stage.into(), wall, cpu }),
+        }
         self.began = (Instant::now(), now);
     }
 }

@@ -6,7 +6,8 @@
 
 mod write;
 
-use super::process::{ProcessError, ProcessSummary, stored, up};
+use super::output::up;
+use super::process::{ProcessError, ProcessSummary, stored};
 use super::scene::{self, SceneError};
 use super::uvs::{self, UvsError};
 use super::{flash, views};

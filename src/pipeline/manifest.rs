@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Raised when the same inputs give other results than before.
-const METHOD: u32 = 3;
+const METHOD: u32 = 4;
 
 /// Stages done, by name.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -42,6 +42,11 @@ impl StageManifest {
                     store::digest_file(&session.path().join(file)).is_ok_and(|found| found == *digest)
                 })
         })
+    }
+
+    /// Forgets all stages whose names begin so; written with the next note.
+    pub(super) fn forget(&mut self, begin: &str) {
+        self.stages.retain(|stage, _| !stage.starts_with(begin));
     }
 
     /// Notes a stage as done and writes the manifest.

@@ -30,7 +30,21 @@ pub(super) struct Told<'a> {
     pub(super) pairs: Vec<&'a PairRecord>,
     pub(super) summary: &'a ProcessSummary,
     pub(super) flash: &'a FlashAccount,
-    pub(super) estimates: &'a Image<Option<Estimate>>,
+    pub(super) estimates: Estimates<'a>,
+}
+
+/// Estimates by texel: columns and rows, and how to ask for one.
+#[derive(Clone, Copy)]
+pub(super) struct Estimates<'a> {
+    pub(super) size: (usize, usize),
+    pub(super) at: &'a dyn Fn(usize, usize) -> Option<Estimate>,
+}
+
+impl<'a> Estimates<'a> {
+    fn seen(self) -> impl Iterator<Item = Estimate> + 'a {
+        let (width, height) = self.size;
+        (0..height).flat_map(move |y| (0..width).filter_map(move |x| (self.at)(x, y)))
+    }
 }
 
 /// The report as HTML.
@@ -54,13 +68,13 @@ pub(super) fn html(told: &Told<'_>) -> Result<String, PngError> {
     Ok(report::html(&Report { title: &title, subtitle: &subtitle, sections }))
 }
 
-fn previews(estimates: &Image<Option<Estimate>>) -> Result<Vec<Picture>, PngError> {
+fn previews(estimates: Estimates<'_>) -> Result<Vec<Picture>, PngError> {
     let picture = |colour: &dyn Fn(&Estimate) -> [f32; 3], caption: &str, scale| {
         let png = png::encode_rgb8(&shrunk(estimates, colour))?;
         Ok(Picture { png, caption: caption.to_owned(), scale })
     };
-    let most = estimates.pixels().iter().flatten().map(|e| e.views).max().unwrap_or(1).max(1);
-    let mut deviations: Vec<f32> = estimates.pixels().iter().flatten().map(deviation).collect();
+    let most = estimates.seen().map(|e| e.views).max().unwrap_or(1).max(1);
+    let mut deviations: Vec<f32> = estimates.seen().map(|e| deviation(&e)).collect();
     deviations.sort_by(f32::total_cmp);
     // The worst hundredth would take the contrast from all others.
     let worst = deviations.get(deviations.len() * 99 / 100).copied().unwrap_or(1.0).max(1e-6);
@@ -101,15 +115,15 @@ fn on_scale(value: f32) -> [f32; 3] {
 }
 
 /// Averages the estimates' colours (linear) over square blocks, so that no edge is longer than [`EDGE`].
-fn shrunk(estimates: &Image<Option<Estimate>>, colour: &dyn Fn(&Estimate) -> [f32; 3]) -> Image<[u8; 3]> {
-    let (width, height) = (estimates.width(), estimates.height());
+fn shrunk(estimates: Estimates<'_>, colour: &dyn Fn(&Estimate) -> [f32; 3]) -> Image<[u8; 3]> {
+    let (width, height) = estimates.size;
     let block = width.max(height).div_ceil(EDGE).max(1);
     Image::from_fn(width.div_ceil(block), height.div_ceil(block), |left, top| {
         let (mut sum, mut count) = ([0.0_f32; 3], 0.0_f32);
         for y in top * block..((top + 1) * block).min(height) {
             for x in left * block..((left + 1) * block).min(width) {
-                if let Some(estimate) = estimates.at(x, y) {
-                    let value = colour(estimate);
+                if let Some(estimate) = (estimates.at)(x, y) {
+                    let value = colour(&estimate);
                     (0..3).for_each(|c| sum[c] += value[c]);
                     count += 1.0;
                 }
@@ -362,17 +376,17 @@ mod tests {
         let scale = EnergyScale::new([], None, None);
         let flash = FlashAccount { trend: trend(&[], &scale), scale, repeatability: None };
         // A quarter of the seen texels has the reflectance asked for, the rest 0.5.
-        let estimates = Image::from_fn(640, 4, |x, y| {
+        let at = |x: usize, y: usize| {
             let rho = if x < 80 { rho } else { [0.5; 3] };
             (x < 320).then_some(Estimate { rho, sd: [0.01; 3], views: 1 + y as u16 })
-        });
+        };
         html(&Told {
             manifest: &manifest,
             calibration: &calibration,
             pairs: vec![],
             summary: &summary,
             flash: &flash,
-            estimates: &estimates,
+            estimates: Estimates { size: (640, 4), at: &at },
         })
         .unwrap()
     }
@@ -416,8 +430,8 @@ mod tests {
     #[test]
     fn previews_are_small_and_average_only_what_is_seen() {
         let estimate = Estimate { rho: [0.25; 3], sd: [0.0; 3], views: 1 };
-        let estimates = Image::from_fn(1500, 300, |x, _| (x < 1).then_some(estimate));
-        let small = shrunk(&estimates, &|e| e.rho);
+        let at = |x: usize, _: usize| (x < 1).then_some(estimate);
+        let small = shrunk(Estimates { size: (1500, 300), at: &at }, &|e| e.rho);
         assert_eq!((small.width(), small.height()), (500, 100));
         assert_eq!(*small.at(0, 0), [srgb::encode_u8(0.25); 3]);
         assert_eq!(*small.at(1, 0), NOTHING);

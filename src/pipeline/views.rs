@@ -8,13 +8,16 @@
 
 use super::develop::{known_sites, lamp};
 use super::manifest::{StageManifest, digest};
-use super::process::{Inputs, ProcessError, ProcessOptions, io, process, stage, whole};
+use super::output::whole;
+use super::process::{Inputs, ProcessError, ProcessOptions, io, process};
+use super::solve::stage;
 use crate::codec::exr_image::{self, Meta};
 use crate::photometry::demosaic;
 use crate::progress::Progress;
 use crate::reflectance::bounce::simulate;
 use crate::reflectance::maps::{own_look, view_maps};
-use crate::reflectance::project::{Projection, Surroundings};
+use crate::reflectance::project::Surroundings;
+use crate::reflectance::projection::Projection;
 use crate::session::{Session, store};
 
 /// Reflectance of the surface's patches as the texture's run left it, three little-endian f32 a patch.
@@ -26,7 +29,7 @@ pub fn ensure(session: &Session, progress: &Progress) -> Result<(usize, usize), 
     let stored = super::process::stored(session);
     let uvs = stored.as_ref().map(|s| s.uv_choice).unwrap_or_default();
     let texture_size = stored.map(|s| s.texture_size);
-    Ok(process(session, &ProcessOptions { texture_size, views: true, uvs }, progress)?.views)
+    Ok(process(session, &ProcessOptions { texture_size, views: true, uvs, memory: None }, progress)?.views)
 }
 
 pub(super) fn keep_patches(session: &Session, rho: &[[f32; 3]]) -> Result<(), ProcessError> {

@@ -10,7 +10,7 @@
 //! interpolation for color image demosaicking", 2013), and counts by its own noise against `OWN`.
 
 use super::observe::{GRAZING, Illumination};
-use super::project::Projection;
+use super::projection::Projection;
 use super::stage::Stage;
 use crate::light::{Finish, Spot, expose, interpolate};
 use crate::photometry::Known;

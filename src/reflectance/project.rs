@@ -15,21 +15,22 @@
 
 use super::mirror::mirrored;
 use super::observe::{GRAZING, Illumination};
+use super::projection::{Projection, Ray, Site, WIDEST_BLUR, Window};
 use super::robust::Lobe;
 use super::stage::Stage;
 use crate::light::{RayKernel, interpolate};
 use crate::photometry::KnownMosaic;
 use crate::progress::{Cancelled, Progress};
+use crate::raster::Image;
 use crate::raster::blocks::dilate;
-use crate::raster::blur::{gaussian_each, gaussian_radius};
-use crate::raster::{Image, Rgb};
+use crate::raster::blur::gaussian_radius;
 use crate::scene::{Camera, Mesh};
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// Rays along each side of a pixel.
-const GRID: usize = 2;
+pub(super) const GRID: usize = 2;
 
 /// The rays of a pixel share one shadow test if their surfaces part by no more than this (cosine), and lie no
 /// farther apart than so many pixels' footprints.
@@ -42,18 +43,12 @@ const SEARCH_STEP: usize = 2;
 /// By how much texture coordinates may leave the unit square by rounding.
 const OUTSIDE: f32 = 1e-4;
 
-/// Rows of the texture that one task writes.
-const BAND: usize = 32;
-
-/// Widest lens blur that a margin is kept for, pixels.
-pub const WIDEST_BLUR: f32 = 2.5;
-
-/// One ray that meets the object.
+/// What one ray finds on the object.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
     /// Pixel of the window, row-major.
     pub(super) pixel: u32,
-    /// Upper left of the four texels, row-major, and where between them.
+    /// Upper left of the four texels of the whole texture, row-major, and where between them.
     pub(super) texel: u32,
     pub(super) at: [f32; 2],
     /// What white would add to the pixel's reading, DN.
@@ -72,9 +67,21 @@ pub struct Surroundings<'a> {
     /// Gloss of each mesh, where one was found; its light is `other` light.
     gloss: Vec<Option<Lobe>>,
     size: usize,
+    /// Which of the object's triangles the texture holds; `None`: all of them.
+    held: Option<Vec<bool>>,
 }
 
 impl<'a> Surroundings<'a> {
+    /// From now on only these triangles of the object are looked at as texture, and the others as one looks at other
+    /// meshes; `None`: all of them.
+    pub fn hold(&mut self, triangles: Option<Vec<bool>>) {
+        self.held = triangles;
+    }
+
+    fn holds(&self, mesh: u32, triangle: u32) -> bool {
+        mesh == 0 && self.held.as_ref().is_none_or(|held| held[triangle as usize])
+    }
+
     /// Meshes (the object first), the stage made of them, its patches' reflectance, the meshes' gloss, and the
     /// texture's side.
     pub fn new(
@@ -94,24 +101,24 @@ impl<'a> Surroundings<'a> {
         }
         let kernel = RayKernel::build(corners);
         let rho = stage.smooth(rho);
-        Some(Self { object, kernel, owners, stage, rho, gloss: gloss.to_vec(), size })
+        Some(Self { object, kernel, owners, stage, rho, gloss: gloss.to_vec(), size, held: None })
     }
 }
 
-/// The part of a frame that shows the object.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Window {
-    pub(super) left: usize,
-    pub(super) top: usize,
-    pub(super) width: usize,
-    pub(super) height: usize,
-}
-
 impl Window {
-    /// Bounds of the object's projection, with room for the lens's blur; `None` where it is not in the frame.
-    fn of(camera: &Camera, object: &Mesh) -> Option<Self> {
+    /// Bounds of the projection of what the texture holds, with room for the lens's blur; `None` where nothing of it is
+    /// in the frame.
+    fn of(camera: &Camera, around: &Surroundings) -> Option<Self> {
+        let object = around.object;
         let (mut low, mut high) = (DVec2::MAX, DVec2::MIN);
-        for p in object.positions.iter().filter(|p| p.is_finite()) {
+        let held: Box<dyn Iterator<Item = Vec3>> = match &around.held {
+            None => Box::new(object.positions.iter().copied()),
+            Some(held) => {
+                let triangles = (0..object.triangles.len()).filter(|&t| held[t]);
+                Box::new(triangles.flat_map(|t| object.corners(t)))
+            }
+        };
+        for p in held.filter(|p| p.is_finite()) {
             match camera.project(p.as_dvec3()) {
                 Some((pixel, _)) => (low, high) = (low.min(pixel), high.max(pixel)),
                 // Behind the camera or beyond the lens's field: a triangle may reach from there into any part.
@@ -127,36 +134,6 @@ impl Window {
     }
 }
 
-/// One sensor site of the window.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Site {
-    /// Colour: 0, 1, 2.
-    pub(super) colour: u8,
-    /// Known light, DN.
-    pub(super) known: f32,
-    /// Its variance by the sensor's noise, DN^2; infinite where nothing is known.
-    pub(super) variance: f32,
-}
-
-/// A view, ready to be predicted from any texture.
-pub struct Projection {
-    pub(super) window: Window,
-    pub(super) samples: Vec<Sample>,
-    /// Indices of samples sorted by the texture band they fall in, and where each band begins.
-    order: Vec<u32>,
-    bands: Vec<u32>,
-    /// Light from surfaces that the texture does not hold, DN.
-    other: Rgb,
-    /// What white would read in each pixel, DN, before the lens's blur.
-    pub(super) white: Rgb,
-    /// Share of each pixel's rays of which nothing is known.
-    pub(super) unknown: Image<[f32; 1]>,
-    pub(super) sites: Image<Site>,
-    /// Columns and rows of the whole frame.
-    frame: (usize, usize),
-    size: usize,
-}
-
 impl Projection {
     /// Looks through one view. `bounced` is the view's irradiance by bounces, DN, one a patch; `known` its light at
     /// whatever energy the pulse had. `None` where the object is not in the frame.
@@ -167,7 +144,7 @@ impl Projection {
         known: &KnownMosaic,
         progress: &Progress,
     ) -> Result<Option<Self>, Cancelled> {
-        let Some(window) = Window::of(light.camera(), around.object) else { return Ok(None) };
+        let Some(window) = Window::of(light.camera(), around) else { return Ok(None) };
         let mirrored = around.mirrored(light, bounced);
         let bounced = around.stage.smooth(bounced);
         let lit = Lit { direct: light, bounced: &bounced, mirrored: &mirrored };
@@ -179,13 +156,19 @@ impl Projection {
                 Ok(row(around, &lit, &window, &wanted, y))
             })
             .collect::<Result<_, Cancelled>>()?;
-        let mut view = Self {
+        let blank = Image::filled(window.width, window.height, [0.0; 3]);
+        let mut white = blank;
+        for s in rows.iter().flat_map(|r| &r.samples) {
+            let pixel = &mut white.pixels_mut()[s.pixel as usize];
+            (0..3).for_each(|c| pixel[c] += s.white[c]);
+        }
+        let rays = rows.iter().flat_map(|r| &r.samples).map(|s| Ray::of(s, &white, around.size)).collect();
+        let view = Self {
             window,
-            samples: Vec::with_capacity(rows.iter().map(|r| r.samples.len()).sum()),
-            order: vec![],
+            rays,
             bands: vec![],
             other: Image::from_fn(window.width, window.height, |x, y| rows[y].other[x]),
-            white: Image::filled(window.width, window.height, [0.0; 3]),
+            white,
             unknown: Image::from_fn(window.width, window.height, |x, y| [rows[y].unknown[x]]),
             sites: Image::from_fn(window.width, window.height, |x, y| {
                 let (sx, sy) = (window.left + x, window.top + y);
@@ -196,129 +179,8 @@ impl Projection {
                 }
             }),
             frame: (light.camera().intrinsics.width, light.camera().intrinsics.height),
-            size: around.size,
         };
-        view.samples.extend(rows.into_iter().flat_map(|r| r.samples));
-        for s in &view.samples {
-            let pixel = &mut view.white.pixels_mut()[s.pixel as usize];
-            (0..3).for_each(|c| pixel[c] += s.white[c]);
-        }
-        view.sort();
         Ok(Some(view))
-    }
-
-    /// Sorts the samples into bands of the texture, by counting.
-    fn sort(&mut self) {
-        let band = |s: &Sample| s.texel as usize / self.size / BAND;
-        let mut starts = vec![0u32; self.size.div_ceil(BAND) + 1];
-        for s in &self.samples {
-            starts[band(s) + 1] += 1;
-        }
-        for b in 1..starts.len() {
-            starts[b] += starts[b - 1];
-        }
-        let (mut fill, mut order) = (starts.clone(), vec![0u32; self.samples.len()]);
-        for (i, s) in self.samples.iter().enumerate() {
-            order[fill[band(s)] as usize] = i as u32;
-            fill[band(s)] += 1;
-        }
-        (self.order, self.bands) = (order, starts);
-    }
-
-    /// Whether light from beyond the frame reaches a pixel of the window through a blur of `reach` pixels.
-    pub(super) fn at_frame_edge(&self, x: usize, y: usize, reach: usize) -> bool {
-        let (x, y) = (self.window.left + x, self.window.top + y);
-        x < reach || y < reach || x + reach >= self.frame.0 || y + reach >= self.frame.1
-    }
-
-    /// The texture as this view's pixels see it, before the lens's blur; with `others`, the light of other surfaces
-    /// is in it.
-    pub(super) fn pixels(&self, texture: &[[f32; 3]], others: bool) -> Rgb {
-        let mut image = if others { self.other.clone() } else { self.blank() };
-        let out = image.pixels_mut();
-        for s in &self.samples {
-            let rho = self.read(texture, s);
-            let pixel = &mut out[s.pixel as usize];
-            (0..3).for_each(|c| pixel[c] += s.white[c] * rho[c]);
-        }
-        image
-    }
-
-    /// The readings of all three colours in every pixel for a pulse of energy 1.
-    pub(super) fn predict(&self, texture: &[[f32; 3]], others: bool, blur: [f32; 3]) -> Rgb {
-        gaussian_each(&self.pixels(texture, others), blur)
-    }
-
-    /// What white would read everywhere, through the lens.
-    pub(super) fn white(&self, blur: [f32; 3]) -> Rgb {
-        gaussian_each(&self.white, blur)
-    }
-
-    /// Light of other surfaces, through the lens.
-    pub(super) fn others(&self, blur: [f32; 3]) -> Rgb {
-        gaussian_each(&self.other, blur)
-    }
-
-    pub(super) fn blank(&self) -> Rgb {
-        Image::filled(self.window.width, self.window.height, [0.0; 3])
-    }
-
-    /// The texture itself through the lens, whatever light falls on it, times the share of each pixel that is object;
-    /// and that share.
-    pub(super) fn plain(&self, texture: &[[f32; 3]], blur: [f32; 3]) -> (Rgb, Rgb) {
-        let (mut seen, mut cover) = (self.blank(), self.blank());
-        for s in &self.samples {
-            let rho = self.read(texture, s);
-            let at = s.pixel as usize;
-            (0..3).for_each(|c| seen.pixels_mut()[at][c] += rho[c]);
-            cover.pixels_mut()[at].iter_mut().for_each(|n| *n += 1.0);
-        }
-        let share = |image: Rgb| image.map(|p| p.map(|v| v / (GRID * GRID) as f32));
-        (gaussian_each(&share(seen), blur), gaussian_each(&share(cover), blur))
-    }
-
-    fn read(&self, texture: &[[f32; 3]], s: &Sample) -> [f32; 3] {
-        let (i, [fx, fy]) = (s.texel as usize, s.at);
-        let (a, b) = (&texture[i], &texture[i + 1]);
-        let (c, d) = (&texture[i + self.size], &texture[i + self.size + 1]);
-        std::array::from_fn(|k| {
-            let top = a[k] + (b[k] - a[k]) * fx;
-            let low = c[k] + (d[k] - c[k]) * fx;
-            top + (low - top) * fy
-        })
-    }
-
-    /// Adds to `out` what an image of residuals, already blurred by the lens, says of the texels: the transpose of
-    /// [`Self::pixels`]. In bands of rows, each by one task and in one order, so that sums come out the same for any
-    /// number of threads.
-    pub(super) fn carry_back(&self, image: &Rgb, out: &mut [[f32; 3]]) {
-        let chunk = 2 * BAND * self.size;
-        for parity in 0..2 {
-            let from = (parity * BAND * self.size).min(out.len());
-            out[from..].par_chunks_mut(chunk).enumerate().for_each(|(k, rows)| {
-                let band = 2 * k + parity;
-                let Some(&[start, end]) = self.bands.get(band..band + 2).and_then(|b| b.first_chunk::<2>())
-                else {
-                    return;
-                };
-                let origin = band * BAND * self.size;
-                for &i in &self.order[start as usize..end as usize] {
-                    let s = &self.samples[i as usize];
-                    let pixel = &image.pixels()[s.pixel as usize];
-                    let at = s.texel as usize - origin;
-                    let [fx, fy] = s.at;
-                    for (offset, w) in [
-                        (0, (1.0 - fx) * (1.0 - fy)),
-                        (1, fx * (1.0 - fy)),
-                        (self.size, (1.0 - fx) * fy),
-                        (self.size + 1, fx * fy),
-                    ] {
-                        let texel = &mut rows[at + offset];
-                        (0..3).for_each(|c| texel[c] += w * s.white[c] * pixel[c]);
-                    }
-                }
-            });
-        }
     }
 }
 
@@ -374,7 +236,11 @@ fn row(around: &Surroundings, lit: &Lit, window: &Window, wanted: &Image<bool>, 
                     *other += lobe.sent(met.facing, direct as f32, mirrored * response as f32);
                 }
             }
-            let place = if met.mesh == 0 { place(around, met.triangle as usize, met.uv) } else { None };
+            let place = if around.holds(met.mesh, met.triangle) {
+                place(around, met.triangle as usize, met.uv)
+            } else {
+                None
+            };
             match place {
                 Some((texel, at)) => {
                     if f64::from(met.facing) < GRAZING {
@@ -463,7 +329,9 @@ impl Surroundings<'_> {
                         (window.top + y * SEARCH_STEP) as f64 + 0.5,
                     )
                 };
-                Ok((0..width).map(|x| self.meet(camera, place(x)).is_some_and(|m| m.mesh == 0)).collect())
+                Ok((0..width)
+                    .map(|x| self.meet(camera, place(x)).is_some_and(|m| self.holds(m.mesh, m.triangle)))
+                    .collect())
             })
             .collect::<Result<_, Cancelled>>()?;
         let found = Image::from_fn(width, height, |x, y| rows[y][x]);
@@ -508,58 +376,4 @@ fn place(around: &Surroundings, triangle: usize, [u, v]: [f32; 2]) -> Option<(u3
     };
     let ((x, fx), (y, fy)) = (cell(uv.x * n - 0.5), cell((1.0 - uv.y) * n - 0.5));
     Some(((y * around.size + x) as u32, [fx, fy]))
-}
-
-#[cfg(test)]
-pub(super) mod tests {
-    use super::*;
-    use glam::Vec2;
-
-    /// Side of the texture that [`flat_view`] looks at.
-    pub(in crate::reflectance) const SIZE: usize = 64;
-
-    /// A picture of a texture lying flat, a texel a pixel, turned, shifted and seen from aside
-    /// by its number; evenly lit. (A blur shows only in views that differ in how large a texel is.)
-    pub(in crate::reflectance) fn flat_view(number: usize, white: f32) -> Projection {
-        let window = Window { left: 20, top: 20, width: SIZE, height: SIZE };
-        let blank = Image::filled(SIZE, SIZE, [0.0f32; 3]);
-        let (sin, cos) = (0.3 * number as f32).sin_cos();
-        let mut view = Projection {
-            window,
-            samples: vec![],
-            order: vec![],
-            bands: vec![],
-            other: blank.clone(),
-            white: blank,
-            unknown: Image::filled(SIZE, SIZE, [0.0]),
-            sites: Image::from_fn(SIZE, SIZE, |x, y| Site {
-                colour: crate::photometry::Cfa::RGGB.colour(x, y) as u8,
-                known: 0.0,
-                variance: 1.0,
-            }),
-            frame: (SIZE + 40, SIZE + 40),
-            size: SIZE,
-        };
-        for pixel in 0..SIZE * SIZE {
-            for k in 0..GRID * GRID {
-                let inside = Vec2::new((k % GRID) as f32 + 0.5, (k / GRID) as f32 + 0.5) / GRID as f32;
-                let p = Vec2::new((pixel % SIZE) as f32, (pixel / SIZE) as f32) + inside - SIZE as f32 / 2.0;
-                let p = p * Vec2::new(1.0, [1.0, 2.0, 1.4][number % 3]);
-                let turned = Vec2::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y);
-                let at = turned + SIZE as f32 / 2.0 - 0.5 + 0.21 * number as f32;
-                if at.min_element() < 0.0 || at.max_element() >= (SIZE - 1) as f32 {
-                    view.unknown.pixels_mut()[pixel][0] += 1.0 / (GRID * GRID) as f32;
-                    continue;
-                }
-                let corner = at.floor();
-                let white = [white / (GRID * GRID) as f32; 3];
-                let texel = corner.y as u32 * SIZE as u32 + corner.x as u32;
-                let at = (at - corner).to_array();
-                view.samples.push(Sample { pixel: pixel as u32, texel, at, white });
-                (0..3).for_each(|c| view.white.pixels_mut()[pixel][c] += white[c]);
-            }
-        }
-        view.sort();
-        view
-    }
 }

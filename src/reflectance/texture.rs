@@ -5,17 +5,21 @@
 
 use super::atlas::{AtlasError, TexelPoint, fill, lay_out};
 use super::bounce::{Bounces, Round, ViewLight};
-use super::joint::{Joint, Photo, Run, solve_jointly};
+use super::joint::{Photo, Run, solve_jointly};
 use super::observe::{Lamp, View};
-use super::project::{Projection, Surroundings};
+use super::pieces::{Piece, divide};
+use super::project::Surroundings;
+use super::projection::{Ground, Projection};
 use super::solve::Estimate;
 use super::stage::Stage;
 use super::uncertainty::CELL;
 use crate::light::interpolate;
-use crate::photometry::{FlashGain, Known, KnownMosaic};
+use crate::photometry::{self, FlashGain, KnownMosaic};
 use crate::progress::{Cancelled, Progress};
-use crate::raster::Image;
+use crate::raster::{Image, Rgb};
 use crate::scene::{Camera, Mesh};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Standard deviation of the simulated bounced light, relative: what its rays scatter (benches/light.rs: 6 to 10 % at
 /// points, less over a patch).
@@ -44,25 +48,79 @@ pub enum TextureError {
 
 /// The finished texture, `size` x `size`, row 0 at v = 1.
 pub struct Texture {
-    /// Estimate of each texel; `None` between charts and where no view sees the surface.
-    pub estimates: Image<Option<Estimate>>,
     /// Reflectance of every texel on the surface: the estimate, or for what no view sees that of the nearest
-    /// seen surface.
-    pub filled: Image<Option<[f32; 3]>>,
-    /// Root mean square of the views' own means about each seen texel, of 1: how far they disagree.
-    pub residual: Image<f32>,
+    /// seen surface. Between charts anything.
+    pub rho: Rgb,
     /// Texels that lie on the surface, seen or not.
-    pub surface: usize,
+    pub surface: Image<bool>,
+    /// Those of them that a view sees.
+    seen: Image<bool>,
+    cells: Image<Known>,
     /// How the rounds of bounces converged.
     pub rounds: Vec<Round>,
-    /// How the joint solve converged.
+    /// How the joint solve converged, of the part of the texture that most pixels show.
     pub runs: Vec<Run>,
+    /// Parts that the texture was solved in.
+    pub pieces: usize,
     /// Energy of each view's pulse, as the texture and its measurement tell.
     pub gains: Vec<FlashGain>,
     /// Standard deviation of the lens's blur by channel, pixels.
     pub blur: [f32; 3],
     /// Bounced light and reflectance on the patches.
     pub bounces: Bounces,
+}
+
+/// What is known of a cell of texels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Known {
+    /// Standard deviation of the reflectance over a patch of 4x4 photo pixels, by what differs from view to view.
+    pub sd: [f32; 3],
+    /// Relative standard deviation by what all views share.
+    pub shared: [f32; 3],
+    /// Root mean square of the views' own means about each seen texel, of 1: how far they disagree.
+    pub residual: f32,
+    /// Views that see it.
+    pub views: u16,
+}
+
+impl Texture {
+    fn cell(&self, x: usize, y: usize) -> &Known {
+        self.cells.at(x / CELL, y / CELL)
+    }
+
+    /// Estimate of a texel; `None` between charts and where no view sees the surface.
+    pub fn estimate(&self, x: usize, y: usize) -> Option<Estimate> {
+        self.seen.at(x, y).then(|| {
+            let (rho, known) = (*self.rho.at(x, y), self.cell(x, y));
+            let sd = std::array::from_fn(|c| known.sd[c].hypot(known.shared[c] * rho[c]));
+            Estimate { rho, sd, views: known.views }
+        })
+    }
+
+    /// All of them, row by row.
+    pub fn estimates(&self) -> impl Iterator<Item = Option<Estimate>> {
+        let (width, height) = (self.rho.width(), self.rho.height());
+        (0..height).flat_map(move |y| (0..width).map(move |x| self.estimate(x, y)))
+    }
+
+    /// How far the views disagree about a texel, of 1; 0 where none sees it.
+    pub fn residual(&self, x: usize, y: usize) -> f32 {
+        if *self.seen.at(x, y) { self.cell(x, y).residual } else { 0.0 }
+    }
+
+    /// The surface's texels alone.
+    pub fn filled(&self) -> Image<Option<[f32; 3]>> {
+        Image::from_fn(self.rho.width(), self.rho.height(), |x, y| {
+            self.surface.at(x, y).then(|| *self.rho.at(x, y))
+        })
+    }
+
+    /// Adds a relative error that all texels share, by channel.
+    pub fn add_scale_error(&mut self, error: [f32; 3]) {
+        for known in self.cells.pixels_mut() {
+            (0..3).for_each(|c| known.shared[c] = known.shared[c].hypot(error[c]));
+        }
+    }
 }
 
 /// Collects views for the bounces.
@@ -86,7 +144,7 @@ impl<'a> Solver<'a> {
     pub fn add(
         &mut self,
         camera: &Camera,
-        known: &Known,
+        known: &photometry::Known,
         lamp: &Lamp,
         progress: &Progress,
     ) -> Result<(), Cancelled> {
@@ -101,8 +159,9 @@ impl<'a> Solver<'a> {
         Ok(())
     }
 
-    /// Settles the bounces; then the views are looked at again, in the same order.
-    pub fn settle(self, progress: &Progress) -> Result<Settled<'a>, TextureError> {
+    /// Settles the bounces; then the views are looked at again, part by part of the surface, each of which takes up
+    /// about `memory` bytes.
+    pub fn settle(self, memory: f64, progress: &Progress) -> Result<Settled<'a>, TextureError> {
         if self
             .lights
             .iter()
@@ -114,16 +173,36 @@ impl<'a> Solver<'a> {
         let bounces = Bounces::settle(self.stage, &transport, &self.lights, progress)?;
         let around = Surroundings::new(self.meshes, self.stage, &bounces.rho, &bounces.gloss, self.size)
             .ok_or(TextureError::Unseen)?;
+        let pieces = divide(&self.stage.patches, &self.lights, memory);
+        let rho = start(self.stage, &bounces, &self.points, self.size);
+        let cells = self.size.div_ceil(CELL);
         Ok(Settled {
             stage: self.stage,
             size: self.size,
             points: self.points,
             around,
             bounces,
+            pieces,
             photos: vec![],
-            places: vec![],
+            gains: vec![None; self.lights.len()],
+            blur: None,
+            runs: vec![],
+            rho,
+            seen: Image::filled(self.size, self.size, false),
+            cells: Image::filled(cells, cells, Known::default()),
         })
     }
+}
+
+/// The patches' reflectance at every texel; in the gutters too: what lies beside a chart must not pull its border down.
+fn start(stage: &Stage, bounces: &Bounces, points: &[TexelPoint], size: usize) -> Rgb {
+    let corners = stage.smooth(&bounces.rho);
+    let mut start = Image::filled(size, size, None);
+    for p in points {
+        let (element, at) = stage.elements.locate(0, p.triangle as usize, p.u, p.v);
+        start.pixels_mut()[p.texel as usize] = Some(interpolate(&corners[element], at));
+    }
+    fill(&start)
 }
 
 /// Views with their bounces, for the texels.
@@ -133,13 +212,58 @@ pub struct Settled<'a> {
     points: Vec<TexelPoint>,
     around: Surroundings<'a>,
     bounces: Bounces,
-    photos: Vec<Photo>,
-    /// Per added view, its place among `photos` and its measured energy.
-    places: Vec<(Option<usize>, FlashGain)>,
+    pieces: Vec<Piece>,
+    /// Views of the piece at hand, with their indices.
+    photos: Vec<(usize, Photo)>,
+    /// Each view's energy, once a piece has told it, and the lens's blur.
+    gains: Vec<Option<FlashGain>>,
+    blur: Option<[f32; 3]>,
+    runs: Vec<Run>,
+    rho: Rgb,
+    seen: Image<bool>,
+    cells: Image<Known>,
+}
+
+/// What was found of one piece.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Part {
+    /// Places of its texels that views speak of, and their reflectance.
+    pub texels: Vec<(u32, [f32; 3])>,
+    /// Places of the cells of texels, and what is known of them.
+    pub cells: Vec<(u32, Known)>,
+    /// Energies of pulses, by view.
+    pub gains: Vec<(u32, FlashGain)>,
+    /// Standard deviation of the lens's blur by channel, pixels.
+    pub blur: [f32; 3],
+    /// How the solve converged.
+    pub runs: Vec<Run>,
 }
 
 impl Settled<'_> {
-    /// Adds a view's sensor sites; `index` is its place in the order of [`Solver::add`], `gain` its pulse's energy.
+    /// How many pieces there are.
+    pub fn pieces(&self) -> usize {
+        self.pieces.len()
+    }
+
+    /// Whether a view has to be looked at for a piece.
+    pub fn sees(&self, piece: usize, view: usize) -> bool {
+        self.pieces[piece].views[view]
+    }
+
+    /// Begins a piece; then those of its views are added that it needs.
+    pub fn begin(&mut self, piece: usize) {
+        self.photos.clear();
+        let elements = &self.stage.elements;
+        let held = (self.pieces.len() > 1).then(|| {
+            let held = &self.pieces[piece].held;
+            let shows = |e: usize| held[self.stage.patches.of(e)];
+            (0..elements.triangles(0)).map(|t| elements.of_triangle(0, t).any(shows)).collect()
+        });
+        self.around.hold(held);
+    }
+
+    /// Adds a view's sensor sites to the piece at hand; `index` is its place in the order of [`Solver::add`], `gain` its
+    /// pulse's measured energy.
     pub fn add(
         &mut self,
         index: usize,
@@ -152,53 +276,92 @@ impl Settled<'_> {
         let light = self.stage.illuminate(camera, lamp);
         let bounced = self.bounces.of_view(index);
         let seen = Projection::look(&self.around, &light, &bounced, known, progress)?;
-        self.places.push((seen.is_some().then_some(self.photos.len()), gain));
-        self.photos.extend(seen.map(|projection| Photo { projection, gain }));
+        let found = self.gains[index];
+        self.photos.extend(seen.map(|projection| (index, Photo { projection, gain, found })));
         Ok(())
     }
 
-    /// Solves every texel; `shot_noise` is the sensor's variance per DN of light.
-    pub fn solve(self, shot_noise: f32, progress: &Progress) -> Result<Texture, TextureError> {
-        let joint = solve_jointly(&self.photos, self.start(), self.size, shot_noise, progress)?;
-        let Joint { texels, gains, blur, runs, cells, spoken, scale_error } = joint;
-        let elements = &self.stage.elements;
-        let mut estimates = Image::filled(self.size, self.size, None);
-        let mut filled = Image::filled(self.size, self.size, None);
-        let mut residual = Image::filled(self.size, self.size, 0.0);
+    /// Solves the texels of the piece that was begun; `shot_noise` is the sensor's variance per DN of light.
+    pub fn solve(&mut self, piece: usize, shot_noise: f32, progress: &Progress) -> Result<Part, Cancelled> {
+        let (views, mut photos): (Vec<usize>, Vec<Photo>) =
+            std::mem::take(&mut self.photos).into_iter().unzip();
+        let ground = Ground::number(self.size, photos.iter_mut().map(|p| &mut p.projection));
+        let start = ground.texels.iter().map(|&t| self.rho.pixels()[t as usize]).collect();
+        let joint = solve_jointly(&photos, &ground, start, self.blur, shot_noise, progress)?;
+        let mut own = vec![false; self.stage.patches.len()];
+        self.pieces[piece].own.iter().for_each(|&p| own[p as usize] = true);
+        let mut part = Part { blur: joint.blur, runs: joint.runs, ..Part::default() };
+        part.gains = views.iter().zip(&joint.gains).map(|(v, g)| (*v as u32, *g)).collect();
+        let cell_of = |place: u32| {
+            let (x, y) = (place as usize % self.size, place as usize / self.size);
+            ((y / CELL) * self.size.div_ceil(CELL) + x / CELL) as u32
+        };
+        let mut owned: BTreeMap<u32, usize> = BTreeMap::new();
         for p in &self.points {
-            let at = p.texel as usize;
-            let cell = cells.at(at % self.size / CELL, at / self.size / CELL);
-            let rho = texels[at];
-            filled.pixels_mut()[at] = Some(rho);
-            if spoken[at] && cell.views > 0 {
-                let (element, _) = elements.locate(0, p.triangle as usize, p.u, p.v);
-                let share = self.bounces.shares[self.stage.patches.of(element)];
-                let sd = std::array::from_fn(|c| {
-                    cell.sd[c].hypot(scale_error * rho[c]).hypot(BOUNCE_ERROR * share[c] * rho[c])
-                });
-                estimates.pixels_mut()[at] = Some(Estimate { rho, sd, views: cell.views });
-                residual.pixels_mut()[at] = cell.residual;
+            let Ok(number) = ground.texels.binary_search(&p.texel) else { continue };
+            let (element, _) = self.stage.elements.locate(0, p.triangle as usize, p.u, p.v);
+            let patch = self.stage.patches.of(element);
+            if own[patch] && joint.spoken[number] {
+                part.texels.push((p.texel, joint.texels[number]));
+                owned.entry(cell_of(p.texel)).or_insert(patch);
             }
         }
-        if estimates.pixels().iter().all(Option::is_none) {
-            return Err(TextureError::TooSmall);
+        for (place, cell) in joint.cells {
+            if let Some(&patch) = owned.get(&place).filter(|_| cell.views > 0) {
+                let share = self.bounces.shares[patch];
+                let shared = share.map(|s| joint.scale_error.hypot(BOUNCE_ERROR * s));
+                let known = Known { sd: cell.sd, shared, residual: cell.residual, views: cell.views };
+                part.cells.push((place, known));
+            }
         }
-        let gains = self.places.iter().map(|(at, measured)| at.map_or(*measured, |at| gains[at])).collect();
-        let rounds = self.bounces.rounds.clone();
-        let surface = self.points.len();
-        Ok(Texture { estimates, filled, residual, surface, rounds, runs, gains, blur, bounces: self.bounces })
+        Ok(part)
     }
 
-    /// The patches' reflectance at every texel.
-    fn start(&self) -> Vec<[f32; 3]> {
-        let elements = &self.stage.elements;
-        let corners = self.stage.smooth(&self.bounces.rho);
-        let mut start = Image::filled(self.size, self.size, None);
-        for p in &self.points {
-            let (element, at) = elements.locate(0, p.triangle as usize, p.u, p.v);
-            start.pixels_mut()[p.texel as usize] = Some(interpolate(&corners[element], at));
+    /// Puts into the texture what was found of a piece: in the order of the pieces.
+    pub fn take(&mut self, part: &Part) {
+        for (place, known) in &part.cells {
+            let cell = &mut self.cells.pixels_mut()[*place as usize];
+            // Of two pieces that meet in a cell the one that sees it better.
+            if known.views > cell.views {
+                *cell = *known;
+            }
         }
-        // Gutters too: what lies beside a chart must not pull its border down.
-        fill(&start).pixels().to_vec()
+        let side = self.size.div_ceil(CELL);
+        for (place, rho) in &part.texels {
+            let at = *place as usize;
+            self.rho.pixels_mut()[at] = *rho;
+            let (x, y) = (at % self.size, at / self.size);
+            self.seen.pixels_mut()[at] = self.cells.pixels()[(y / CELL) * side + x / CELL].views > 0;
+        }
+        for (view, gain) in &part.gains {
+            self.gains[*view as usize].get_or_insert(*gain);
+        }
+        self.blur.get_or_insert(part.blur);
+        if self.runs.is_empty() {
+            self.runs.clone_from(&part.runs);
+        }
+    }
+
+    /// The texture, all pieces taken; `measured` are the energies of the views, for those that tell nothing.
+    pub fn finish(self, measured: &[FlashGain]) -> Result<Texture, TextureError> {
+        if !self.seen.pixels().contains(&true) {
+            return Err(TextureError::TooSmall);
+        }
+        let mut surface = Image::filled(self.size, self.size, false);
+        self.points.iter().for_each(|p| surface.pixels_mut()[p.texel as usize] = true);
+        let gains = self.gains.iter().zip(measured).map(|(found, m)| found.unwrap_or(*m)).collect();
+        let rounds = self.bounces.rounds.clone();
+        Ok(Texture {
+            rho: self.rho,
+            surface,
+            seen: self.seen,
+            cells: self.cells,
+            rounds,
+            runs: self.runs,
+            pieces: self.pieces.len(),
+            gains,
+            blur: self.blur.unwrap_or_default(),
+            bounces: self.bounces,
+        })
     }
 }

@@ -38,7 +38,7 @@ impl<'a> System<'a> {
         progress: &Progress,
     ) -> Result<Self, Cancelled> {
         let slopes = if lens { state.lens_slopes(texels, progress)? } else { vec![] };
-        let sums = state.sums(weights, texels.len(), progress)?;
+        let sums = state.sums(weights, progress)?;
         let with = lens.then_some((slopes.as_slice(), [0.0; 3]));
         let (mut residual, part) = state.gradient(weights, texels, true, with, progress)?;
         for ((r, x), s) in residual.iter_mut().zip(texels).zip(start) {

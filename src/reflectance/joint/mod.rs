@@ -22,13 +22,12 @@ mod state;
 #[cfg(test)]
 mod tests;
 
-pub(super) use state::{State, Weights};
+pub(super) use state::{MISPLACED, MODEL_ERROR, OTHER_ERROR, State, Weights};
 
-use super::project::{Projection, WIDEST_BLUR};
+use super::projection::{Ground, Projection, WIDEST_BLUR};
 use super::uncertainty::{self, Cell};
 use crate::photometry::FlashGain;
 use crate::progress::{Cancelled, Progress};
-use crate::raster::Image;
 use conjugate::System;
 
 /// Standard deviation of a texel about the elements' estimate, of 1: weak, for it pulls detail down (0.2 took a
@@ -36,13 +35,13 @@ use conjugate::System;
 pub(super) const PRIOR: f32 = 1.0;
 
 /// Runs of conjugate gradients: steps in each, and whether the lens's blur is found along.
-const RUNS: [(usize, bool); 5] = [(5, false), (5, false), (8, true), (6, true), (6, true)];
+const RUNS: [(usize, bool); 5] = [(7, false), (5, false), (8, true), (8, true), (8, true)];
 
 /// Standard deviation of the lens's blur before anything is known, pixels, and its bounds.
 const FIRST_BLUR: f32 = 0.8;
 const BLUR_BOUNDS: (f32, f32) = (0.3, WIDEST_BLUR);
 
-/// Reflectance by texel, row-major, all of the texture's square.
+/// Reflectance by texel, as a [`Ground`] numbers them.
 pub(super) type Texels = Vec<[f32; 3]>;
 
 /// What the joint solve found.
@@ -55,8 +54,8 @@ pub struct Joint {
     pub blur: [f32; 3],
     /// What each run did.
     pub runs: Vec<Run>,
-    /// What is known of each cell of texels.
-    pub(super) cells: Image<Cell>,
+    /// What is known of each cell of texels, by the cell's place in the texture.
+    pub(super) cells: Vec<(u32, Cell)>,
     /// Texels that any site speaks of.
     pub(super) spoken: Vec<bool>,
     /// Relative standard deviation of all reflectance together, by the pulses' energies.
@@ -80,22 +79,27 @@ pub struct Photo {
     pub projection: Projection,
     /// Its pulse's energy as measured, or a strobe's own spread.
     pub gain: FlashGain,
+    /// The energy as another part of the texture told it already: it stays so.
+    pub found: Option<FlashGain>,
 }
 
-/// Solves; `start` is the elements' estimate at every texel of a texture `size` x `size`, `shot_noise` the sensor's variance by DN of light.
-pub fn solve_jointly(
+/// Solves; `start` is the patches' estimate at every texel of `ground`, which numbers the photos' texels, `blur` what
+/// another part of the texture told of the lens already, `shot_noise` the sensor's variance by DN of light.
+pub(super) fn solve_jointly(
     photos: &[Photo],
+    ground: &Ground,
     start: Texels,
-    size: usize,
+    known_blur: Option<[f32; 3]>,
     shot_noise: f32,
     progress: &Progress,
 ) -> Result<Joint, Cancelled> {
-    let mut gains: Vec<FlashGain> = photos.iter().map(|p| p.gain).collect();
+    let mut gains: Vec<FlashGain> = photos.iter().map(|p| p.found.unwrap_or(p.gain)).collect();
     let mut texels = start.clone();
-    let mut blur = [FIRST_BLUR; 3];
+    let mut blur = known_blur.unwrap_or([FIRST_BLUR; 3]);
     let (mut runs, mut done) = (vec![], 0);
     for (steps, lens) in RUNS {
-        let state = State { photos, gains: &gains, blur, shot_noise };
+        let lens = lens && known_blur.is_none();
+        let state = State { photos, ground, gains: &gains, blur, shot_noise };
         let weights = state.weights(&texels, progress)?;
         let before = texels.clone();
         let mut system = System::new(&state, &weights, &start, &texels, lens, progress)?;
@@ -108,7 +112,7 @@ pub fn solve_jointly(
         let wider = system.blur;
         gains = state.energies(&weights, &mut texels);
         let (least, most) = BLUR_BOUNDS;
-        for (b, wider) in blur.iter_mut().zip(wider) {
+        for (b, wider) in blur.iter_mut().zip(wider).filter(|_| lens) {
             *b = (*b * *b + wider as f32).max(least * least).sqrt().min(most);
         }
         let n = texels.len().max(1) as f64;
@@ -120,10 +124,10 @@ pub fn solve_jointly(
         runs.push(Run { misfit, change: (moved / n).sqrt(), blur });
     }
     progress.report("telling the error", 0, 1);
-    let state = State { photos, gains: &gains, blur, shot_noise };
+    let state = State { photos, ground, gains: &gains, blur, shot_noise };
     let weights = state.weights(&texels, progress)?;
-    let cells = uncertainty::cells(&state, &weights, &texels, size, progress)?;
-    let sums = state.sums(&weights, texels.len(), progress)?;
+    let cells = uncertainty::cells(&state, &weights, &texels, progress)?;
+    let sums = state.sums(&weights, progress)?;
     let spoken = sums.iter().map(|s| s.iter().all(|s| *s > 0.0)).collect();
     let told: f64 = photos.iter().zip(&gains).map(|(p, g)| precision(p) * g.value * g.value).sum();
     let scale_error = if told > 0.0 { told.sqrt().recip() as f32 } else { 0.0 };

@@ -5,17 +5,18 @@ use crate::photometry::FlashGain;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::blur::{gaussian, gaussian_each};
 use crate::raster::{Image, Rgb};
+use crate::reflectance::projection::Ground;
 use crate::reflectance::solve::{MEDIAN_OF_NORMAL, tukey};
 use rayon::prelude::*;
 
 /// Model error, relative to the reading.
-const MODEL_ERROR: f32 = 0.01;
+pub(in crate::reflectance) const MODEL_ERROR: f32 = 0.01;
 
 /// Misplacement of the picture, pixels.
-const MISPLACED: f32 = 0.1;
+pub(in crate::reflectance) const MISPLACED: f32 = 0.1;
 
 /// Error of the light of other surfaces, relative.
-const OTHER_ERROR: f32 = 0.3;
+pub(in crate::reflectance) const OTHER_ERROR: f32 = 0.3;
 
 /// Largest share of unknown light in a site that still counts.
 const MOST_UNKNOWN: f32 = 0.004;
@@ -36,6 +37,7 @@ pub(in crate::reflectance) struct Weights {
 
 pub(in crate::reflectance) struct State<'a> {
     pub(in crate::reflectance) photos: &'a [Photo],
+    pub(in crate::reflectance) ground: &'a Ground,
     pub(in crate::reflectance) gains: &'a [FlashGain],
     pub(in crate::reflectance) blur: [f32; 3],
     pub(in crate::reflectance) shot_noise: f32,
@@ -183,7 +185,7 @@ impl State<'_> {
                     all.lens_square[c] += part.lens_square[c];
                 }
                 if let Some(image) = part.image.take() {
-                    self.photos[v].projection.carry_back(&image, &mut sum);
+                    self.photos[v].projection.carry_back(self.ground, &image, &mut sum);
                 }
             },
         )?;
@@ -215,13 +217,8 @@ impl State<'_> {
     }
 
     /// Row sums of A' W A.
-    pub(super) fn sums(
-        &self,
-        weights: &[Weights],
-        n: usize,
-        progress: &Progress,
-    ) -> Result<Texels, Cancelled> {
-        let mut sum = vec![[0.0; 3]; n];
+    pub(super) fn sums(&self, weights: &[Weights], progress: &Progress) -> Result<Texels, Cancelled> {
+        let mut sum = vec![[0.0; 3]; self.ground.len()];
         self.each_view(
             |v, photo| {
                 progress.check()?;
@@ -230,7 +227,7 @@ impl State<'_> {
             },
             |v, image| {
                 if let Some(image) = image {
-                    self.photos[v].projection.carry_back(&image, &mut sum);
+                    self.photos[v].projection.carry_back(self.ground, &image, &mut sum);
                 }
             },
         )?;
@@ -263,6 +260,9 @@ impl State<'_> {
             .iter()
             .zip(self.photos)
             .map(|((above, below), photo)| {
+                if let Some(found) = photo.found {
+                    return found;
+                }
                 let p = precision(photo);
                 // Errors of one view hang together, so its millions of sites do not make it exact.
                 let share = (ENERGY_ERROR.powi(-2) / below).min(1.0);
@@ -271,7 +271,11 @@ impl State<'_> {
                 FlashGain { value, deviation: (below + p).sqrt().recip() }
             })
             .collect();
-        // g k and rho / k explain the photographs alike: k is such that the measurements agree best.
+        // g k and rho / k explain the photographs alike: k is such that the measurements agree best, unless another
+        // part of the texture has settled it.
+        if self.photos.iter().any(|p| p.found.is_some()) {
+            return gains;
+        }
         let (mut above, mut below) = (0.0, 0.0);
         for (gain, photo) in gains.iter().zip(self.photos) {
             above += precision(photo) * photo.gain.value * gain.value;

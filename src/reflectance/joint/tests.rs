@@ -1,6 +1,6 @@
 use super::*;
 use crate::raster::Rgb;
-use crate::reflectance::project::tests::{SIZE, flat_view};
+use crate::reflectance::projection::tests::{SIZE, flat_view};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
@@ -29,9 +29,22 @@ fn photographs(truth: &Texels, gains: &[f64], blur: [f32; 3]) -> Vec<Photo> {
             site.known = *gain as f32 * lit[usize::from(site.colour)] + NOISE * uniform;
             site.variance = NOISE * NOISE;
         }
-        Photo { projection, gain: FlashGain { value: 1.0, deviation: 0.01 } }
+        Photo { projection, gain: FlashGain { value: 1.0, deviation: 0.01 }, found: None }
     };
     gains.iter().enumerate().map(photo).collect()
+}
+
+/// Solves for the texels that the photographs speak of; the others stay as they start.
+fn solve(mut photos: Vec<Photo>, start: &Texels, blur: Option<[f32; 3]>) -> Joint {
+    let ground = Ground::number(SIZE, photos.iter_mut().map(|p| &mut p.projection));
+    let own = ground.texels.iter().map(|&t| start[t as usize]).collect();
+    let mut joint = solve_jointly(&photos, &ground, own, blur, 0.0, &Progress::silent()).unwrap();
+    let mut all = start.clone();
+    for (&at, rho) in ground.texels.iter().zip(&joint.texels) {
+        all[at as usize] = *rho;
+    }
+    joint.texels = all;
+    joint
 }
 
 fn rms(a: &Texels, b: &Texels, border: usize) -> f32 {
@@ -48,13 +61,14 @@ fn rms(a: &Texels, b: &Texels, border: usize) -> f32 {
 
 #[test]
 fn carrying_back_is_the_transpose_of_looking() {
-    let view = flat_view(1, WHITE);
-    let texture = painted();
+    let mut view = flat_view(1, WHITE);
+    let ground = Ground::number(SIZE, std::iter::once(&mut view));
+    let texture: Texels = ground.texels.iter().map(|&t| painted()[t as usize]).collect();
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let image = view.blank().map(|p| p.map(|_| rng.random::<f32>() - 0.5));
     let seen = view.pixels(&texture, false);
     let mut back = vec![[0.0; 3]; texture.len()];
-    view.carry_back(&image, &mut back);
+    view.carry_back(&ground, &image, &mut back);
     for c in 0..3 {
         let there: f64 =
             seen.pixels().iter().zip(image.pixels()).map(|(a, b)| f64::from(a[c]) * f64::from(b[c])).sum();
@@ -69,7 +83,7 @@ fn texture_energies_and_the_lens_blur_come_back_from_noisy_photographs() {
     let gains = [1.0, 0.985, 1.012, 1.003, 0.995, 1.005];
     let photos = photographs(&truth, &gains, blur);
     let start = vec![[0.45, 0.36, 0.27]; truth.len()];
-    let found = solve_jointly(&photos, start.clone(), SIZE, 0.0, &Progress::silent()).unwrap();
+    let found = solve(photos, &start, None);
     for (c, found) in found.blur.iter().enumerate() {
         assert!((found - blur[c]).abs() < 0.2, "blur {found} of colour {c}");
     }
@@ -92,13 +106,12 @@ fn texture_energies_and_the_lens_blur_come_back_from_noisy_photographs() {
 #[test]
 fn any_number_of_threads_gives_the_same_bits() {
     let truth = painted();
-    let photos = photographs(&truth, &[1.0, 0.99, 1.01], [0.9; 3]);
-    let solve = |threads: usize| {
+    let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let start = vec![[0.4; 3]; truth.len()];
-        pool.install(|| solve_jointly(&photos, start, SIZE, 0.0, &Progress::silent()).unwrap())
+        pool.install(|| solve(photographs(&truth, &[1.0, 0.99, 1.01], [0.9; 3]), &start, None))
     };
-    let (one, three) = (solve(1), solve(3));
+    let (one, three) = (on(1), on(3));
     assert_eq!(one.texels, three.texels);
     assert_eq!((one.blur, one.runs), (three.blur, three.runs));
 }
@@ -108,10 +121,23 @@ fn a_view_in_which_everything_is_clipped_changes_nothing() {
     let truth = painted();
     let mut photos = photographs(&truth, &[1.0, 1.0], [0.8; 3]);
     let start = vec![[0.4; 3]; truth.len()];
-    let without = solve_jointly(&photos, start.clone(), SIZE, 0.0, &Progress::silent()).unwrap();
+    let without = solve(photographs(&truth, &[1.0, 1.0], [0.8; 3]), &start, None);
     let mut blown = photographs(&truth, &[1.0, 1.0, 1.0], [0.8; 3]).pop().unwrap();
     blown.projection.sites.pixels_mut().iter_mut().for_each(|s| s.variance = f32::INFINITY);
     photos.push(blown);
-    let with = solve_jointly(&photos, start, SIZE, 0.0, &Progress::silent()).unwrap();
+    let with = solve(photos, &start, None);
     assert!(rms(&with.texels, &without.texels, 0) < 2e-3, "{}", rms(&with.texels, &without.texels, 0));
+}
+
+#[test]
+fn energies_and_blur_that_another_part_has_told_stay_as_they_are() {
+    let truth = painted();
+    let mut photos = photographs(&truth, &[1.0, 1.02, 0.98], [0.9; 3]);
+    let told = FlashGain { value: 1.02, deviation: 0.001 };
+    photos[1].found = Some(told);
+    let found = solve(photos, &vec![[0.4; 3]; truth.len()], Some([0.9; 3]));
+    assert_eq!((found.gains[1], found.blur), (told, [0.9; 3]));
+    for (found, gain) in found.gains.iter().zip([1.0, 1.02, 0.98]) {
+        assert!((found.value - gain).abs() < 0.004, "{} for {gain}", found.value);
+    }
 }
