@@ -66,6 +66,15 @@ fn print(title: &str, estimate: &Estimate) {
         Some(blocks) => line("4x4 blocks", blocks),
         None => println!("  4x4 blocks: none lies wholly inside the object"),
     }
+    if let Some(covered) = estimate.covered {
+        println!(
+            "  {:.1} % of the 4x4 blocks lie within 1.96 standard deviations as told (95 % if they are told true)",
+            100.0 * covered
+        );
+    }
+    if estimate.bright_spots > 0 {
+        println!("  {} values above 1.05 where the truth is below 0.9", estimate.bright_spots);
+    }
 }
 
 /// Each figure of 1 and of 255.

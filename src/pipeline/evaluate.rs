@@ -30,6 +30,10 @@ use std::path::{Path, PathBuf};
 /// A pixel counts when every pixel within this Chebyshev distance is wholly object.
 pub const EROSION: usize = 3;
 
+/// No paint is as bright as the first where the truth is darker than the second.
+const BRIGHT: f32 = 1.05;
+const PAINT: f32 = 0.9;
+
 /// Side of the blocks that are averaged for the second figure, pixels.
 pub const BLOCK: usize = 4;
 
@@ -103,6 +107,8 @@ pub struct Estimate {
     /// Share of the blocks and channels whose error lies within 1.96 of the standard deviation that the estimate tells
     /// (the mean over the block); `None` where it tells none.
     pub covered: Option<f64>,
+    /// Scored pixels and channels above 1.05 where the truth is below 0.9: highlights taken for paint.
+    pub bright_spots: usize,
     /// Each view alone, full resolution.
     pub by_view: Vec<ViewErrors>,
     /// Views of the truth that the estimate lacks.
@@ -202,7 +208,7 @@ fn score(
     let (mut full, mut blocks) = (Pool::default(), Pool::default());
     let (mut by_view, mut missing) = (Vec::new(), Vec::new());
     let (mut scored, mut known) = (0_usize, 0_usize);
-    let (mut inside, mut judged) = (0_usize, 0_usize);
+    let (mut inside, mut judged, mut bright_spots) = (0_usize, 0_usize, 0_usize);
     for (i, name) in truth.names.iter().enumerate() {
         progress.check()?;
         progress.report(&format!("scoring the {estimate}"), i, truth.names.len());
@@ -219,6 +225,10 @@ fn score(
             let (estimate, truth) = (guess.at(x, y), view.albedo.at(x, y));
             [0, 1, 2].map(|c| if *counted.at(x, y) { estimate[c] - truth[c] } else { 0.0 })
         });
+        for (x, y) in (0..guess.height()).flat_map(|y| (0..guess.width()).map(move |x| (x, y))) {
+            let bright = |c: &usize| guess.at(x, y)[*c] > BRIGHT && view.albedo.at(x, y)[*c] < PAINT;
+            bright_spots += if *counted.at(x, y) { (0..3).filter(bright).count() } else { 0 };
+        }
         let mut own = Pool::default();
         own.extend(error.pixels().iter().zip(counted.pixels()).filter(|(_, c)| **c).map(|(e, _)| *e));
         scored += view.scored.pixels().iter().filter(|s| **s).count();
@@ -249,7 +259,7 @@ fn score(
     })?;
     let known = known as f64 / scored.max(1) as f64;
     let covered = (judged > 0).then(|| inside as f64 / judged as f64);
-    Ok(Estimate { full, blocks: blocks.errors(), known, covered, by_view, missing })
+    Ok(Estimate { full, blocks: blocks.errors(), known, covered, bright_spots, by_view, missing })
 }
 
 fn read_view(path: &Path, view: &TruthView) -> Result<Guess, EvaluateError> {

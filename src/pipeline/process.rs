@@ -312,6 +312,7 @@ fn solve_and_write(
     if let Some(object) = inputs.scene.meshes.first() {
         uvs::keep(session, object, &summary.uvs)?;
     }
+    summary.costs.clone_from(&costs.list);
     output::write(session, &scene, inputs, &texture, &summary)?;
     super::views::keep_patches(session, &texture.bounces.rho)?;
     costs.done("writing");

@@ -1,26 +1,21 @@
 //! `model/report.html`: what a run made, from what, and how far to trust it.
 
 mod flash;
+mod previews;
 
+use super::cost::Cost;
 use super::energy::FlashAccount;
 use super::process::ProcessSummary;
 use crate::calibration::FlashCalibration;
-use crate::codec::png::{self, PngError};
-use crate::export::report::{self, Block, Picture, Report, Scale, Section};
+use crate::codec::png::PngError;
+use crate::export::report::{self, Block, Report, Section};
 use crate::pair::PairRecord;
-use crate::raster::{Image, srgb};
-use crate::reflectance::solve::Estimate;
+use crate::photometry::FlashGain;
+use crate::reflectance::robust::Lobe;
 use crate::reflectance::unwrap::UvSource;
 use crate::session::Manifest;
-
-/// Longest edge of a preview in pixels.
-const EDGE: usize = 512;
-
-/// What shows where a preview has no surface or no view, sRGB.
-const NOTHING: [u8; 3] = [72, 72, 72];
-
-/// Colours for numbers, low to high, ever brighter, so that they can be told apart without seeing colour.
-const SCALE: [[u8; 3]; 5] = [[32, 26, 66], [92, 44, 110], [176, 68, 96], [230, 130, 70], [250, 222, 150]];
+pub(super) use previews::Estimates;
+use previews::previews;
 
 /// What the report tells of.
 pub(super) struct Told<'a> {
@@ -31,20 +26,6 @@ pub(super) struct Told<'a> {
     pub(super) summary: &'a ProcessSummary,
     pub(super) flash: &'a FlashAccount,
     pub(super) estimates: Estimates<'a>,
-}
-
-/// Estimates by texel: columns and rows, and how to ask for one.
-#[derive(Clone, Copy)]
-pub(super) struct Estimates<'a> {
-    pub(super) size: (usize, usize),
-    pub(super) at: &'a dyn Fn(usize, usize) -> Option<Estimate>,
-}
-
-impl<'a> Estimates<'a> {
-    fn seen(self) -> impl Iterator<Item = Estimate> + 'a {
-        let (width, height) = self.size;
-        (0..height).flat_map(move |y| (0..width).filter_map(move |x| (self.at)(x, y)))
-    }
 }
 
 /// The report as HTML.
@@ -63,74 +44,10 @@ pub(super) fn html(told: &Told<'_>) -> Result<String, PngError> {
         Section { heading: "Camera and flash", blocks: rig(told) },
         Section { heading: "The flash over the session", blocks: flash::blocks(told.flash) },
         Section { heading: "Pairs", blocks: pairs(told.summary) },
+        Section { heading: "What it cost", blocks: costs(told.summary) },
         Section { heading: "How to read the files", blocks: files() },
     ];
     Ok(report::html(&Report { title: &title, subtitle: &subtitle, sections }))
-}
-
-fn previews(estimates: Estimates<'_>) -> Result<Vec<Picture>, PngError> {
-    let picture = |colour: &dyn Fn(&Estimate) -> [f32; 3], caption: &str, scale| {
-        let png = png::encode_rgb8(&shrunk(estimates, colour))?;
-        Ok(Picture { png, caption: caption.to_owned(), scale })
-    };
-    let most = estimates.seen().map(|e| e.views).max().unwrap_or(1).max(1);
-    let mut deviations: Vec<f32> = estimates.seen().map(|e| deviation(&e)).collect();
-    deviations.sort_by(f32::total_cmp);
-    // The worst hundredth would take the contrast from all others.
-    let worst = deviations.get(deviations.len() * 99 / 100).copied().unwrap_or(1.0).max(1e-6);
-    let scale = |low: &str, high: String| Some(Scale { colours: SCALE.into(), low: low.into(), high });
-    Ok(vec![
-        picture(
-            &|e| e.rho,
-            "Diffuse reflectance, camera RGB shown as if it were sRGB. Grey: not seen.",
-            None,
-        )?,
-        picture(
-            &|e| on_scale(f32::from(e.views) / f32::from(most)),
-            "Views that made up each texel.",
-            scale("0", most.to_string()),
-        )?,
-        picture(
-            &|e| on_scale(deviation(e) / worst),
-            "Standard deviation of the reflectance, mean of the channels.",
-            scale("0", format!("{worst:.3} and more")),
-        )?,
-    ])
-}
-
-/// Mean over the channels.
-fn deviation(estimate: &Estimate) -> f32 {
-    estimate.sd.iter().sum::<f32>() / 3.0
-}
-
-/// The scale's colour at 0..1, in linear light.
-fn on_scale(value: f32) -> [f32; 3] {
-    let place = value.clamp(0.0, 1.0) * (SCALE.len() - 1) as f32;
-    let low = (place as usize).min(SCALE.len() - 2);
-    let between = place - low as f32;
-    let (a, b) = (SCALE[low], SCALE[low + 1]);
-    std::array::from_fn(|c| {
-        srgb::decode((f32::from(a[c]) * (1.0 - between) + f32::from(b[c]) * between) / 255.0)
-    })
-}
-
-/// Averages the estimates' colours (linear) over square blocks, so that no edge is longer than [`EDGE`].
-fn shrunk(estimates: Estimates<'_>, colour: &dyn Fn(&Estimate) -> [f32; 3]) -> Image<[u8; 3]> {
-    let (width, height) = estimates.size;
-    let block = width.max(height).div_ceil(EDGE).max(1);
-    Image::from_fn(width.div_ceil(block), height.div_ceil(block), |left, top| {
-        let (mut sum, mut count) = ([0.0_f32; 3], 0.0_f32);
-        for y in top * block..((top + 1) * block).min(height) {
-            for x in left * block..((left + 1) * block).min(width) {
-                if let Some(estimate) = (estimates.at)(x, y) {
-                    let value = colour(&estimate);
-                    (0..3).for_each(|c| sum[c] += value[c]);
-                    count += 1.0;
-                }
-            }
-        }
-        if count > 0.0 { sum.map(|s| srgb::encode_u8(s / count)) } else { NOTHING }
-    })
 }
 
 fn figures(told: &Told<'_>) -> Vec<Block> {
@@ -143,6 +60,12 @@ fn figures(told: &Told<'_>) -> Vec<Block> {
         fact("Mean reflectance", three(summary.mean_reflectance, 4)),
         fact("Median standard deviation", format!("{:.4}", summary.median_deviation)),
         fact("Rounds of bounces", format!("{}; reflectance moved by {}", moved.len(), moved.join(", "))),
+        fact("Texels solved", solved(summary)),
+        fact(
+            "Blur of the lens (R G B)",
+            format!("{} pixels, standard deviation", three(summary.blur.map(f64::from), 2)),
+        ),
+        fact("Gloss taken off", gloss(summary)),
         fact("Texture coordinates", coordinates(&summary.uvs)),
         fact(
             "Darker than 0.02, brighter than 0.9",
@@ -178,6 +101,25 @@ fn figures(told: &Told<'_>) -> Vec<Block> {
     blocks
 }
 
+fn solved(summary: &ProcessSummary) -> String {
+    let pieces = match summary.pieces {
+        0 | 1 => "all together".to_owned(),
+        n => format!("in {n} pieces"),
+    };
+    let runs: Vec<String> = summary.runs.iter().map(|r| format!("{:.3}", r.misfit)).collect();
+    format!("{pieces}; squared residual over what noise and model explain, run by run: {}", runs.join(", "))
+}
+
+fn gloss(summary: &ProcessSummary) -> String {
+    let of = |(mesh, lobe): (usize, &Option<Lobe>)| {
+        let lobe = lobe.as_ref()?;
+        let (weight, width) = (percent(f64::from(lobe.weight)), lobe.alpha);
+        Some(format!("mesh {}: {weight} of the light, GGX width {width:.2}", mesh + 1))
+    };
+    let found: Vec<String> = summary.gloss.iter().enumerate().filter_map(of).collect();
+    if found.is_empty() { "none was found".into() } else { found.join("; ") }
+}
+
 fn coordinates(uvs: &UvSource) -> String {
     match uvs {
         UvSource::Own => "the mesh's own".into(),
@@ -190,6 +132,12 @@ fn coordinates(uvs: &UvSource) -> String {
             made.stretch[1]
         ),
     }
+}
+
+fn costs(summary: &ProcessSummary) -> Vec<Block> {
+    let cost =
+        |c: &Cost| fact(&c.stage, format!("{:.1} s, {:.1} s of all processors together", c.wall, c.cpu));
+    vec![Block::Facts(summary.costs.iter().map(cost).collect())]
 }
 
 fn rig(told: &Told<'_>) -> Vec<Block> {
@@ -253,6 +201,15 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
 
 fn pairs(summary: &ProcessSummary) -> Vec<Block> {
     let mut blocks = vec![Block::Text(format!("In the model: {}.", summary.used.join(", ")))];
+    let energy = |(name, gain): (&String, &FlashGain)| {
+        vec![name.clone(), format!("{:.4}", gain.value), format!("{:.4}", gain.deviation)]
+    };
+    if !summary.gains.is_empty() {
+        blocks.push(Block::Table {
+            head: vec!["Pair", "Energy of its pulse, the calibration's being 1", "Standard deviation"],
+            rows: summary.gains.iter().map(energy).collect(),
+        });
+    }
     if summary.left_out.is_empty() {
         blocks.push(Block::Text("None was left out.".into()));
     } else {
@@ -319,6 +276,7 @@ mod tests {
     use crate::pipeline::process::LeftOut;
     use crate::reflectance::bounce::Round;
     use crate::reflectance::range::OutOfRange;
+    use crate::reflectance::solve::Estimate;
     use crate::reflectance::unwrap::UvChoice;
 
     fn of(name: &str, rho: [f32; 3]) -> String {
@@ -364,6 +322,7 @@ mod tests {
             gains: Default::default(),
             blur: [0.9; 3],
             gloss: vec![None],
+            pieces: 1,
             costs: vec![],
             turned: vec![],
             uv_choice: UvChoice::Auto,
@@ -425,21 +384,5 @@ mod tests {
         assert!(bright.contains("more than fresh snow") && bright.contains("which no matt surface can"));
         let dark = of("a", [0.01, -0.01, 0.02]);
         assert!(dark.contains("25.00 %, 0.00 % of the seen texels") && dark.contains("less than charcoal"));
-    }
-
-    #[test]
-    fn previews_are_small_and_average_only_what_is_seen() {
-        let estimate = Estimate { rho: [0.25; 3], sd: [0.0; 3], views: 1 };
-        let at = |x: usize, _: usize| (x < 1).then_some(estimate);
-        let small = shrunk(Estimates { size: (1500, 300), at: &at }, &|e| e.rho);
-        assert_eq!((small.width(), small.height()), (500, 100));
-        assert_eq!(*small.at(0, 0), [srgb::encode_u8(0.25); 3]);
-        assert_eq!(*small.at(1, 0), NOTHING);
-    }
-
-    #[test]
-    fn the_scale_runs_from_its_first_colour_to_its_last() {
-        let shown = |v| on_scale(v).map(srgb::encode_u8);
-        assert_eq!([shown(-1.0), shown(0.25), shown(2.0)], [SCALE[0], SCALE[1], SCALE[4]]);
     }
 }

@@ -4,7 +4,12 @@ use crate::samples::shared;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 use unlit::codec::exr_image;
+use unlit::pipeline::process::{ProcessError, ProcessOptions, process};
+use unlit::progress::Progress;
+use unlit::session::Session;
 
 const DISTANCES: [(&str, &str); 5] =
     [("0.5", "d0500"), ("0.8", "d0800"), ("1.0", "d1000"), ("1.3", "d1300"), ("1.7", "d1700")];
@@ -71,6 +76,11 @@ fn raws_become_a_texture_that_the_cameras_see_within_the_tolerances() {
     assert!(figure("views", "full", "standard_deviation") <= 0.04);
     assert!(figure("views", "blocks", "standard_deviation") <= 0.015);
     assert!(evaluated["views"]["known"].as_f64().unwrap() >= 0.97);
+    for estimate in ["texture", "views"] {
+        assert_eq!(evaluated[estimate]["bright_spots"], 0, "{estimate}");
+    }
+    let covered = evaluated["texture"]["covered"].as_f64().unwrap();
+    assert!((0.90..=0.98).contains(&covered), "{covered}");
 
     for (image, channels) in [("known", 3), ("irradiance", 3), ("reflectance", 4)] {
         let file = session.join(format!("derived/views/007/{image}.exr"));
@@ -89,6 +99,70 @@ fn raws_become_a_texture_that_the_cameras_see_within_the_tolerances() {
     let mean = apart.sum::<f64>() / (3 * before.len()) as f64;
     println!("XML and COLMAP text differ by {mean} on average");
     assert!(mean < 0.001);
+}
+
+/// A session of a few pairs.
+fn of_pairs(folder: &Path, name: &str, stems: &[&str]) -> PathBuf {
+    let session = prepared(folder, name, "geometry/cameras.xml");
+    for pair in std::fs::read_dir(session.join("pairs")).unwrap() {
+        let pair = pair.unwrap();
+        if !stems.iter().any(|s| pair.file_name().to_string_lossy().starts_with(s)) {
+            std::fs::remove_dir_all(pair.path()).unwrap();
+        }
+    }
+    session
+}
+
+#[test]
+fn a_texture_solved_in_pieces_is_the_same_and_a_run_that_was_stopped_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let stems = ["000", "009", "014"];
+    let whole = of_pairs(folder.path(), "whole", &stems);
+    unlit(&["process", whole.to_str().unwrap(), "--texture-size", "256"]);
+    let pieces = of_pairs(folder.path(), "pieces", &stems);
+    let stopped = of_pairs(folder.path(), "stopped", &stems);
+    let in_pieces = ["--texture-size", "256", "--memory", "0.008"];
+    let said = unlit(&[&["process", pieces.to_str().unwrap()], in_pieces.as_slice()].concat());
+    assert!(said.contains("the texture was solved in "), "{said}");
+
+    // Stopped when the third piece is looked at.
+    let options =
+        ProcessOptions { texture_size: Some(256), memory: Some(0.008), ..ProcessOptions::default() };
+    let stop: Arc<OnceLock<Progress>> = Arc::default();
+    let watched = stop.clone();
+    let progress = Progress::new(move |report| {
+        if report.stage.starts_with("looking again") && report.done >= 2 * 3 {
+            watched.get().unwrap().cancel();
+        }
+    });
+    stop.set(progress.clone()).unwrap();
+    let session = Session::open(&stopped).unwrap();
+    assert!(matches!(process(&session, &options, &progress), Err(ProcessError::Cancelled(_))));
+    let parts = || std::fs::read_dir(stopped.join("derived/parts")).map_or(0, Iterator::count);
+    assert_eq!(parts(), 2);
+    let looked = Arc::new(AtomicUsize::new(0));
+    let count = looked.clone();
+    let progress = Progress::new(move |report| {
+        if report.stage.starts_with("looking again") {
+            count.fetch_max(1000 - report.done as usize, Ordering::Relaxed);
+        }
+    });
+    process(&session, &options, &progress).unwrap();
+    assert_eq!((parts(), 1000 - looked.load(Ordering::Relaxed)), (0, 2 * 3), "it went on at the third piece");
+    assert!(texture(&stopped) == texture(&pieces), "stopped or not, the bits are the same");
+
+    let seen = exr_image::read(&whole.join("model/views.exr")).unwrap();
+    let views = &seen.channels.iter().find(|(name, _)| name == "Y").unwrap().1;
+    let (one, many) = (texture(&whole), texture(&pieces));
+    let apart: Vec<f64> = (0..one.len())
+        .filter(|&i| views[i] >= 2.0)
+        .flat_map(|i| (0..3).map(move |c| (i, c)))
+        .map(|(i, c)| f64::from(many[i][c] - one[i][c]))
+        .collect();
+    let mean = apart.iter().sum::<f64>() / apart.len() as f64;
+    let typical = apart.iter().map(|d| d.abs()).sum::<f64>() / apart.len() as f64;
+    println!("whole and in pieces differ by {mean} on average, {typical} in size");
+    assert!(mean.abs() < 0.003 && typical < 0.02, "{mean} {typical}");
 }
 
 #[test]
