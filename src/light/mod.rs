@@ -7,6 +7,7 @@ mod kernel;
 mod ring;
 mod sight;
 mod transport;
+mod tree;
 
 pub use elements::{Elements, interpolate};
 pub use emitter::{Emitter, EmitterError, Shape};
