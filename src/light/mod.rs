@@ -13,6 +13,6 @@ pub use elements::{Elements, interpolate};
 pub use emitter::{Emitter, EmitterError, Shape};
 pub use film::{Finish, Spot, expose};
 pub use kernel::{Hit, RayKernel};
-pub use ring::{Ring, RingError};
+pub use ring::{Draw, Ring, RingError};
 pub use sight::Sight;
 pub use transport::Transport;

@@ -35,6 +35,21 @@ const SECTORS: usize = 12;
 /// Points that a glimpse takes.
 const GLIMPSE: u32 = 4;
 
+/// Fractional parts of the first two powers of 1 / 1.324718, root of x^3 = x + 1: an even spread in two dimensions.
+const EVEN: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053];
+
+/// Points of the lamp that one of several looks at much the same place takes, so that all looks together take an even
+/// spread of them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Draw {
+    /// 0..1, of the place's own: what one place's points miss another's find.
+    pub(super) seed: [f32; 2],
+    /// Number of the first point in the place's series.
+    pub(super) first: u32,
+    /// How many.
+    pub(super) count: u32,
+}
+
 /// Inner and outer radius in metres of an annulus round the lens, in the plane z = 0 of the camera frame,
 /// shining one-sidedly towards +z.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -131,17 +146,32 @@ impl Ring {
         normal: DVec3,
         offset: f64,
     ) -> f64 {
+        let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
+        let seed = [scrambled(start), scrambled(start.zxy())];
+        let draw = Draw { seed, first: 0, count: GLIMPSE };
+        self.drawn_irradiance(kernel, world_from_camera, point, normal, offset, draw)
+    }
+
+    /// The same by the points of a draw, for whoever looks several times at one place.
+    pub fn drawn_irradiance(
+        &self,
+        kernel: &RayKernel,
+        world_from_camera: &glam::DAffine3,
+        point: DVec3,
+        normal: DVec3,
+        offset: f64,
+        draw: Draw,
+    ) -> f64 {
         let clear = self.irradiance(point, normal);
         if clear <= 0.0 {
             return 0.0;
         }
         let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
         let element = Element { kernel, world_from_camera, point, normal, start };
-        let (turn, slide) = (f64::from(scrambled(element.start)), f64::from(scrambled(element.start.zxy())));
-        let points = (0..GLIMPSE).map(|i| {
-            let part = (f64::from(i) * 0.618_033_988_749_895 + slide).fract();
-            let angle = TAU * (f64::from(i) / f64::from(GLIMPSE) + turn);
-            (self.radius(part) * DVec2::from_angle(angle)).extend(0.0)
+        let points = (draw.first..draw.first + draw.count).map(|i| {
+            let [share, angle] =
+                [0, 1].map(|d| (f64::from(draw.seed[d]) + f64::from(i) * EVEN[d]).fract());
+            (self.radius(share) * DVec2::from_angle(TAU * angle)).extend(0.0)
         });
         clear * element.lit(points, self.outer)
     }

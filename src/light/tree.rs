@@ -14,6 +14,7 @@ use glam::{BVec4A, Vec3, Vec4};
 use obvhs::BvhBuildParams;
 use obvhs::bvh2::{Bvh2, builder::build_bvh2_from_tris};
 use obvhs::triangle::Triangle;
+use std::cell::Cell;
 use std::time::Duration;
 
 /// Children of a node and triangles of a leaf.
@@ -33,6 +34,11 @@ const SMALLEST: f32 = 1e-30;
 
 /// Entries that a traversal holds without asking for memory.
 const SHALLOW: usize = 64;
+
+thread_local! {
+    /// The leaf that hid this thread's last ray that was hidden.
+    static LAST: Cell<u32> = const { Cell::new(0) };
+}
 
 /// Up to four boxes and what lies in each.
 struct Node {
@@ -124,11 +130,18 @@ impl Tree {
     /// Whether any triangle lies at `t_min < t < t_max`.
     pub(super) fn occluded(&self, origin: Vec3, direction: Vec3, t_min: f32, t_max: f32) -> bool {
         let Some(ray) = Ray::new(origin, direction, t_min) else { return false };
+        // What hid the last ray hides the next one often, and the answer is the same whoever gives it.
+        let last = LAST.get() as usize;
+        if self.leaves.get(last).is_some_and(|leaf| ray.meets(leaf, t_max)) {
+            return true;
+        }
         let mut open = Stack::new();
         let mut next = Some((t_min, self.root));
         while let Some((_, at)) = next {
             if at & LEAF != 0 {
-                if ray.meets(&self.leaves[(at ^ LEAF) as usize], t_max) {
+                let leaf = at ^ LEAF;
+                if ray.meets(&self.leaves[leaf as usize], t_max) {
+                    LAST.set(leaf);
                     return true;
                 }
                 next = open.pop();

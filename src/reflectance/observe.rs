@@ -1,7 +1,7 @@
 //! One view's look at one surface point: what was read there, and what a white surface would have read.
 
 use crate::calibration::FieldFactor;
-use crate::light::{Elements, Ring, Sight};
+use crate::light::{Elements, Ring, Sight, Spot};
 use crate::photometry::Known;
 use crate::scene::Camera;
 use glam::{DAffine3, DVec2, Vec3};
@@ -111,6 +111,24 @@ impl<'a> Illumination<'a> {
             local,
             facing,
             self.offset,
+        )
+    }
+
+    /// The same at one of the spots over which a pixel's mean is taken.
+    pub fn at_spot(&self, spot: &Spot) -> f64 {
+        let local = self.camera_from_world.transform_point3(spot.point.as_dvec3());
+        let facing = self.camera_from_world.transform_vector3(spot.normal.as_dvec3());
+        if self.sight.is_free(local, facing) {
+            return self.lamp.ring.irradiance(local, facing);
+        }
+        let world_from_camera = &self.camera.world_from_camera;
+        self.lamp.ring.drawn_irradiance(
+            self.elements.kernel(),
+            world_from_camera,
+            local,
+            facing,
+            self.offset,
+            spot.draw,
         )
     }
 
