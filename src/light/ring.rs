@@ -22,6 +22,7 @@ use super::RayKernel;
 use glam::{DVec2, DVec3, Vec3, Vec3Swizzles};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
+use std::sync::LazyLock;
 
 /// Points on the rims that are tried first: if all of them see the element, the ring is taken as unshadowed. A
 /// straight edge that eight points on the outer rim miss hides less than 1 % of the disc.
@@ -34,6 +35,9 @@ const SECTORS: usize = 12;
 
 /// Points that a glimpse takes.
 const GLIMPSE: u32 = 4;
+
+/// Points of the sum that takes over where the horizon cuts the ring.
+const FINE: usize = 256;
 
 /// Fractional parts of the first two powers of 1 / 1.324718, root of x^3 = x + 1: an even spread in two dimensions.
 const EVEN: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053];
@@ -93,9 +97,9 @@ impl Ring {
             normal.dot(flux).max(0.0)
         } else {
             // The horizon cuts the ring.
-            const FINE: usize = 256;
             let area = PI * (self.outer * self.outer - self.inner * self.inner);
-            (0..FINE).map(|i| form(self.point(i, FINE), point, normal)).sum::<f64>() * area / FINE as f64
+            let lamps = PLACES.fine.iter().map(|place| self.at(place, DVec2::X));
+            lamps.map(|lamp| form(lamp, point, normal)).sum::<f64>() * area / FINE as f64
         }
     }
 
@@ -116,24 +120,19 @@ impl Ring {
         let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
         let element = Element { kernel, world_from_camera, point, normal, start };
         // A turn of its own for every point: what one point's samples miss another's find, and no bands appear.
-        let turn = f64::from(scrambled(element.start));
-        let at = |radius: f64, angle: f64| (radius * DVec2::from_angle(TAU * (angle + turn))).extend(0.0);
-        let mut rims = (0..OUTER_PROBES)
-            .map(|i| at(self.outer, i as f64 / OUTER_PROBES as f64))
-            .chain((0..INNER_PROBES).map(|i| at(self.inner, (i as f64 + 0.5) / INNER_PROBES as f64)))
+        let turn = DVec2::from_angle(TAU * f64::from(scrambled(element.start)));
+        let places = &*PLACES;
+        let mut rims = places
+            .rims
+            .iter()
+            .map(|place| self.at(place, turn))
             .filter(|&lamp| element.share(lamp) > 0.0)
             .peekable();
         // Rims that are all below the horizon tell nothing.
         if rims.peek().is_some() && rims.all(|lamp| element.sees(lamp)) {
             return clear;
         }
-        let points = (0..CIRCLES * SECTORS).map(|i| {
-            let (circle, sector) = (i % CIRCLES, i / CIRCLES);
-            let part = (circle as f64 + 0.5) / CIRCLES as f64;
-            let slant = circle as f64 / CIRCLES as f64;
-            at(self.radius(part), (sector as f64 + slant) / SECTORS as f64)
-        });
-        clear * element.lit(points, self.outer)
+        clear * element.lit(places.spread.iter().map(|place| self.at(place, turn)), self.outer)
     }
 
     /// The same by the share of four points of the ring alone that see the element, for whoever takes the mean over
@@ -168,28 +167,72 @@ impl Ring {
         }
         let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
         let element = Element { kernel, world_from_camera, point, normal, start };
+        let turn = DVec2::from_angle(TAU * f64::from(draw.seed[1]));
+        let slide = f64::from(draw.seed[0]);
         let points = (draw.first..draw.first + draw.count).map(|i| {
-            let [share, angle] =
-                [0, 1].map(|d| (f64::from(draw.seed[d]) + f64::from(i) * EVEN[d]).fract());
-            (self.radius(share) * DVec2::from_angle(TAU * angle)).extend(0.0)
+            let place = PLACES.even[i as usize % FINE];
+            self.at(&Place { share: (slide + place.share).fract(), ..place }, turn)
         });
         clear * element.lit(points, self.outer)
     }
 
-    /// Radius inside which this share of the ring's area lies.
-    fn radius(&self, share: f64) -> f64 {
-        (self.inner * self.inner * (1.0 - share) + self.outer * self.outer * share).sqrt()
-    }
-
-    /// The i-th of `n` equal-area points, camera frame, metres; any run of them is spread over the ring: the
-    /// angle goes on by the golden section, the share of the area by halving what is left.
-    fn point(&self, i: usize, n: usize) -> DVec3 {
-        let halving = f64::from((i as u32).reverse_bits()) / 2f64.powi(32);
-        let share = halving + 0.5 / n.next_power_of_two() as f64;
-        let angle = TAU * (i as f64 * 0.618_033_988_749_895).fract();
-        (self.radius(share) * DVec2::from_angle(angle)).extend(0.0)
+    /// A place on the ring, turned round its axis: camera frame, metres.
+    fn at(&self, place: &Place, turn: DVec2) -> DVec3 {
+        let square =
+            self.inner * self.inner * (1.0 - place.share) + self.outer * self.outer * place.share;
+        (square.sqrt() * turn.rotate(place.direction)).extend(0.0)
     }
 }
+
+/// A place on any ring: the share of the area that lies farther in, and a unit vector.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    share: f64,
+    direction: DVec2,
+}
+
+impl Place {
+    /// At an angle in turns.
+    fn new(share: f64, angle: f64) -> Self {
+        Self { share, direction: DVec2::from_angle(TAU * angle) }
+    }
+
+    /// The i-th of `n` that stand for equal areas; any run of them is spread over the ring: the angle goes on by the
+    /// golden section, the share of the area by halving what is left.
+    fn spread(i: usize, n: usize) -> Self {
+        let halving = f64::from((i as u32).reverse_bits()) / 2f64.powi(32);
+        let share = halving + 0.5 / n.next_power_of_two() as f64;
+        Self::new(share, (i as f64 * 0.618_033_988_749_895).fract())
+    }
+}
+
+/// All places that sums and shadow rays take, for their sines are dear.
+struct Places {
+    fine: Vec<Place>,
+    rims: Vec<Place>,
+    spread: Vec<Place>,
+    even: Vec<Place>,
+}
+
+static PLACES: LazyLock<Places> = LazyLock::new(|| {
+    let outer = (0..OUTER_PROBES).map(|i| Place::new(1.0, i as f64 / OUTER_PROBES as f64));
+    let inner = (0..INNER_PROBES).map(|i| Place::new(0.0, (i as f64 + 0.5) / INNER_PROBES as f64));
+    let spread = (0..CIRCLES * SECTORS).map(|i| {
+        let (circle, sector) = (i % CIRCLES, i / CIRCLES);
+        let slant = circle as f64 / CIRCLES as f64;
+        Place::new((circle as f64 + 0.5) / CIRCLES as f64, (sector as f64 + slant) / SECTORS as f64)
+    });
+    let even = (0..FINE).map(|i| {
+        let [share, angle] = EVEN.map(|step| (i as f64 * step).fract());
+        Place::new(share, angle)
+    });
+    Places {
+        fine: (0..FINE).map(|i| Place::spread(i, FINE)).collect(),
+        rims: outer.chain(inner).collect(),
+        spread: spread.collect(),
+        even: even.collect(),
+    }
+});
 
 /// An element under the lamp, camera frame, and where its shadow rays start, world frame.
 struct Element<'a> {
@@ -273,7 +316,7 @@ mod tests {
     fn summed(ring: &Ring, point: DVec3, normal: DVec3) -> f64 {
         let n = 400_000;
         let area = PI * (ring.outer.powi(2) - ring.inner.powi(2));
-        (0..n).map(|i| form(ring.point(i, n), point, normal)).sum::<f64>() * area / n as f64
+        (0..n).map(|i| form(ring.at(&Place::spread(i, n), DVec2::X), point, normal)).sum::<f64>() * area / n as f64
     }
 
     #[test]
