@@ -1,5 +1,6 @@
 //! Light: the ray kernel, lamps, direct light, its mean over a camera's pixels, and the transport of bounces.
 
+mod depth;
 mod elements;
 mod emitter;
 mod film;

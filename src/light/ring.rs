@@ -178,8 +178,7 @@ impl Ring {
 
     /// A place on the ring, turned round its axis: camera frame, metres.
     fn at(&self, place: &Place, turn: DVec2) -> DVec3 {
-        let square =
-            self.inner * self.inner * (1.0 - place.share) + self.outer * self.outer * place.share;
+        let square = self.inner * self.inner * (1.0 - place.share) + self.outer * self.outer * place.share;
         (square.sqrt() * turn.rotate(place.direction)).extend(0.0)
     }
 }
@@ -316,7 +315,8 @@ mod tests {
     fn summed(ring: &Ring, point: DVec3, normal: DVec3) -> f64 {
         let n = 400_000;
         let area = PI * (ring.outer.powi(2) - ring.inner.powi(2));
-        (0..n).map(|i| form(ring.at(&Place::spread(i, n), DVec2::X), point, normal)).sum::<f64>() * area / n as f64
+        (0..n).map(|i| form(ring.at(&Place::spread(i, n), DVec2::X), point, normal)).sum::<f64>() * area
+            / n as f64
     }
 
     #[test]

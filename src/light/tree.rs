@@ -286,8 +286,8 @@ impl Ray {
             v = cross(x0, y2, y0, x2);
             w = cross(x1, y0, y1, x0);
         }
-        let outside = (u.cmplt(zero) | v.cmplt(zero) | w.cmplt(zero))
-            & (u.cmpgt(zero) | v.cmpgt(zero) | w.cmpgt(zero));
+        let outside =
+            (u.cmplt(zero) | v.cmplt(zero) | w.cmplt(zero)) & (u.cmpgt(zero) | v.cmpgt(zero) | w.cmpgt(zero));
         let sum = u + v + w;
         let inside = !outside & (sum.cmplt(zero) | sum.cmpgt(zero));
         inside.any().then(|| (inside, [u, v, w, sum], u * z0 + v * z1 + w * z2))
