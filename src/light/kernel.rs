@@ -89,4 +89,47 @@ mod tests {
         assert!(kernel.occluded(Vec3::ZERO, forward, 0.0, 2.1));
         assert!(!kernel.occluded(Vec3::ZERO, Vec3::NAN, 0.0, 9.0));
     }
+
+    #[test]
+    fn the_tree_finds_what_a_look_at_every_triangle_finds() {
+        let number = |k: u32| (f64::from(k) * 0.754_877_666_246_693).fract() as f32 - 0.5;
+        let place = |k: u32| Vec3::new(number(k), number(k + 7919), number(k + 104_729));
+        let triangle = |i: u32| [1, 2, 3].map(|c| place(9 * i) * 2.0 + place(9 * i + c) * 0.4);
+        let soup: Vec<_> = (0..500).map(triangle).collect();
+        let kernel = RayKernel::build(soup.clone());
+        let each: Vec<_> = soup.iter().map(|t| RayKernel::build(vec![*t])).collect();
+        let mut met = 0;
+        for k in 0..400u32 {
+            let (origin, way) = (place(31 * k + 5), place(17 * k + 2));
+            let alone = each.iter().enumerate().filter_map(|(i, kernel)| {
+                let hit = kernel.nearest(origin, way, 0.1, 3.0)?;
+                Some(Hit { triangle: i as u32, ..hit })
+            });
+            let want = alone.min_by(|a, b| a.t.total_cmp(&b.t));
+            assert_eq!(kernel.nearest(origin, way, 0.1, 3.0), want);
+            assert_eq!(kernel.occluded(origin, way, 0.1, 3.0), want.is_some());
+            met += i32::from(want.is_some());
+        }
+        assert!(met > 100, "{met}");
+    }
+
+    #[test]
+    fn triangles_that_are_not_finite_are_never_hit_and_the_others_keep_their_numbers() {
+        let [a, b, c] = *quad().corners(0);
+        let kernel = RayKernel::build(vec![[Vec3::NAN, b, c], [a, b, c]]);
+        assert_eq!(kernel.nearest(Vec3::ZERO, (a + b + c) / 3.0, 0.0, 9.0).unwrap().triangle, 1);
+        assert!(
+            RayKernel::build(vec![[Vec3::INFINITY, b, c]]).nearest(Vec3::ZERO, Vec3::Z, 0.0, 9.0).is_none()
+        );
+        assert!(!RayKernel::build(vec![]).occluded(Vec3::ZERO, Vec3::Z, 0.0, 9.0));
+    }
+
+    #[test]
+    fn a_thousand_triangles_in_one_place_are_no_trouble() {
+        let [a, b, c] = *quad().corners(0);
+        let kernel = RayKernel::build(vec![[a, b, c]; 1000]);
+        let centre = (a + b + c) / 3.0;
+        assert!(kernel.occluded(Vec3::ZERO, centre, 0.0, 2.0));
+        assert!((kernel.nearest(Vec3::ZERO, centre, 0.0, 2.0).unwrap().t - 1.0).abs() < 1e-6);
+    }
 }

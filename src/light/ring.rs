@@ -40,7 +40,7 @@ const GLIMPSE: u32 = 4;
 const FINE: usize = 256;
 
 /// Fractional parts of the first two powers of 1 / 1.324718, root of x^3 = x + 1: an even spread in two dimensions.
-const EVEN: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053];
+pub(super) const EVEN: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053];
 
 /// Points of the lamp that one of several looks at much the same place takes, so that all looks together take an even
 /// spread of them.
@@ -52,6 +52,14 @@ pub struct Draw {
     pub(super) first: u32,
     /// How many.
     pub(super) count: u32,
+}
+
+impl Draw {
+    /// `count` points for a look at a pixel of an image, the `first` of which is the pixel's own first-th.
+    pub fn of_pixel((x, y): (usize, usize), first: u32, count: u32) -> Self {
+        let p = Vec3::new(x as f32 + 0.5, y as f32 + 0.5, 1.0);
+        Self { seed: [scrambled(p), scrambled(p.zxy())], first, count }
+    }
 }
 
 /// Inner and outer radius in metres of an annulus round the lens, in the plane z = 0 of the camera frame,
@@ -162,9 +170,23 @@ impl Ring {
         draw: Draw,
     ) -> f64 {
         let clear = self.irradiance(point, normal);
-        if clear <= 0.0 {
-            return 0.0;
+        if clear > 0.0 {
+            clear * self.drawn_share(kernel, world_from_camera, point, normal, offset, draw)
+        } else {
+            0.0
         }
+    }
+
+    /// Share of [`Self::irradiance`] that shadows leave, by the points of a draw.
+    pub fn drawn_share(
+        &self,
+        kernel: &RayKernel,
+        world_from_camera: &glam::DAffine3,
+        point: DVec3,
+        normal: DVec3,
+        offset: f64,
+        draw: Draw,
+    ) -> f64 {
         let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
         let element = Element { kernel, world_from_camera, point, normal, start };
         let turn = DVec2::from_angle(TAU * f64::from(draw.seed[1]));
@@ -173,7 +195,7 @@ impl Ring {
             let place = PLACES.even[i as usize % FINE];
             self.at(&Place { share: (slide + place.share).fract(), ..place }, turn)
         });
-        clear * element.lit(points, self.outer)
+        element.lit(points, self.outer)
     }
 
     /// A place on the ring, turned round its axis: camera frame, metres.
@@ -389,6 +411,25 @@ mod tests {
             let hidden = std::iter::once(DVec3::new(-0.05, 0.0, 0.0));
             assert_eq!(element.lit(hidden, ring.outer), lit);
         }
+    }
+
+    #[test]
+    fn the_draws_of_one_pixel_together_tell_the_share_of_a_half_shadow() {
+        let ring = Ring::new(0.035, 0.085).unwrap();
+        let wall = [[0.0, -9.0], [9.0, -9.0], [9.0, 9.0], [0.0, 9.0]].map(|[x, y]| Vec3::new(x, y, 0.2));
+        let kernel = RayKernel::build(vec![[wall[0], wall[1], wall[2]], [wall[0], wall[2], wall[3]]]);
+        let mut mean = 0.0;
+        for pixel in (0..100).map(|i| (i % 10, i / 10)) {
+            let share = |k: u32| {
+                let draw = Draw::of_pixel(pixel, 8 * k, 8);
+                let (point, world) = (DVec3::new(0.0, 0.0, 0.8), glam::DAffine3::IDENTITY);
+                ring.drawn_share(&kernel, &world, point, -DVec3::Z, 1e-4, draw)
+            };
+            let whole = (0..4).map(share).sum::<f64>() / 4.0;
+            assert!((whole - 0.5).abs() < 0.1, "{whole} in {pixel:?}");
+            mean += whole / 100.0;
+        }
+        assert!((mean - 0.5).abs() < 0.005, "{mean}");
     }
 
     #[test]

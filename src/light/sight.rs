@@ -100,8 +100,8 @@ impl Sight {
         self.met.get((x + left) as isize, (y + top) as isize).copied()
     }
 
-    /// Whether what is seen towards a direction (camera frame), or beside it if the map's points are farther apart than
-    /// `spacing` (in units of x/z), fulfils `test`: by triangle. `None` outside the map.
+    /// Whether a triangle that fulfils `test` is seen towards a direction (camera frame, z > 0), or beside it if the
+    /// map's points lie farther apart than `spacing` (units of x/z).
     pub fn shows(&self, direction: DVec3, spacing: f64, test: impl Fn(u32) -> bool) -> bool {
         let reach = if self.focal * spacing >= 1.0 { 0 } else { 1 };
         let p = direction.truncate() / direction.z * self.focal + self.axis;

@@ -371,16 +371,14 @@ impl<'a> Folding<'a> {
             } else {
                 let number = tree.nodes.len();
                 let children = self.children(at);
-                let mut sides = [Vec4::INFINITY, Vec4::NEG_INFINITY].map(|side| [side; 3]);
+                let [mut low, mut high] = [[Vec4::INFINITY; 3], [Vec4::NEG_INFINITY; 3]];
                 for (i, &child) in children.iter().enumerate() {
                     let bounds = self.binary.nodes[child].aabb();
-                    for axis in 0..3 {
-                        sides[0][axis][i] = bounds.min[axis];
-                        sides[1][axis][i] = bounds.max[axis];
-                    }
+                    (0..3).for_each(|axis| low[axis][i] = bounds.min[axis]);
+                    (0..3).for_each(|axis| high[axis][i] = bounds.max[axis]);
                     open.push((child, Some((number, i))));
                 }
-                let [[a, b, c], [d, e, f]] = sides;
+                let ([a, b, c], [d, e, f]) = (low, high);
                 tree.nodes.push(Node { sides: [a, b, c, d, e, f], children: [NOTHING; FOUR] });
                 number as u32
             };

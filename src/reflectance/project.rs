@@ -16,7 +16,7 @@
 use super::mirror::mirrored;
 use super::observe::{GRAZING, Illumination};
 use super::robust::Lobe;
-use crate::light::{Elements, RayKernel, interpolate};
+use crate::light::{Draw, Elements, RayKernel, interpolate};
 use crate::photometry::KnownMosaic;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::blocks::dilate;
@@ -35,7 +35,10 @@ const GRID: usize = 2;
 const ONE_FACE: f32 = 0.95;
 const ONE_PLACE: f32 = 4.0;
 
-/// Step of the rays that look for the object first, pixels; what lies within a step and the blur's reach of it counts.
+/// Points of the lamp that each ray's surface asks, where it may lie in shadow; a pixel's rays ask different ones.
+const LAMP_POINTS: u32 = 8;
+
+/// Step of the search for the object, pixels; what lies within a step and the blur's reach of it counts.
 const SEARCH_STEP: usize = 2;
 
 /// By how much texture coordinates may leave the unit square by rounding.
@@ -170,7 +173,7 @@ impl Projection {
         let mirrored = around.mirrored(light, bounced);
         let bounced = around.elements.smooth(bounced);
         let lit = Lit { direct: light, bounced: &bounced, mirrored: &mirrored };
-        let wanted = around.wanted(light.camera(), &window, progress)?;
+        let wanted = around.wanted(light, &window, progress)?;
         let rows: Vec<Row> = (0..window.height)
             .into_par_iter()
             .map(|y| {
@@ -353,13 +356,17 @@ fn row(around: &Surroundings, lit: &Lit, window: &Window, wanted: &Image<bool>, 
             let inside = (DVec2::new((k % GRID) as f64, (k / GRID) as f64) + 0.5) / GRID as f64;
             around.meet(camera, corner + inside)
         });
-        let shared = shared_share(light, &met);
-        for met in met {
+        let pixel = (window.left + x, window.top + y);
+        let shared = shared_share(light, &met, pixel);
+        for (k, met) in met.into_iter().enumerate() {
             let Some(met) = met else {
                 out.unknown[x] += one;
                 continue;
             };
-            let share = shared.unwrap_or_else(|| light.lit_share(met.point, met.normal));
+            let share = shared.unwrap_or_else(|| {
+                let draw = Draw::of_pixel(pixel, k as u32 * LAMP_POINTS, LAMP_POINTS);
+                light.drawn_share(met.point, met.normal, draw)
+            });
             let unit = share * light.clear(met.point, met.normal);
             let (element, at) =
                 around.elements.locate(met.mesh as usize, met.triangle as usize, met.uv[0], met.uv[1]);
@@ -441,22 +448,27 @@ impl Surroundings<'_> {
     /// Pixels of the window that show the object or may do so through the lens's blur.
     fn wanted(
         &self,
-        camera: &Camera,
+        light: &Illumination,
         window: &Window,
         progress: &Progress,
     ) -> Result<Image<bool>, Cancelled> {
         let (width, height) = (window.width.div_ceil(SEARCH_STEP), window.height.div_ceil(SEARCH_STEP));
+        let lens = &light.camera().intrinsics;
+        let spacing = SEARCH_STEP as f64 / lens.focal.max_element();
         let rows: Vec<Vec<bool>> = (0..height)
             .into_par_iter()
             .map(|y| {
                 progress.check()?;
-                let place = |x: usize| {
-                    DVec2::new(
-                        (window.left + x * SEARCH_STEP) as f64 + 0.5,
-                        (window.top + y * SEARCH_STEP) as f64 + 0.5,
-                    )
+                let shows = |x: usize| {
+                    let corner = DVec2::new(
+                        (window.left + x * SEARCH_STEP) as f64,
+                        (window.top + y * SEARCH_STEP) as f64,
+                    );
+                    let towards = lens.distortion.undistort((corner + 0.5 - lens.principal) / lens.focal);
+                    let of_object = |element| self.elements.mesh_of(element as usize) == 0;
+                    light.sight().shows(towards.extend(1.0), spacing, of_object)
                 };
-                Ok((0..width).map(|x| self.meet(camera, place(x)).is_some_and(|m| m.mesh == 0)).collect())
+                Ok((0..width).map(shows).collect())
             })
             .collect::<Result<_, Cancelled>>()?;
         let found = Image::from_fn(width, height, |x, y| rows[y][x]);
@@ -466,7 +478,11 @@ impl Surroundings<'_> {
 }
 
 /// The share of light that shadows leave to all rays of a pixel, if they meet one surface in one place.
-fn shared_share(light: &Illumination, met: &[Option<Met>; GRID * GRID]) -> Option<f64> {
+fn shared_share(
+    light: &Illumination,
+    met: &[Option<Met>; GRID * GRID],
+    pixel: (usize, usize),
+) -> Option<f64> {
     let first = met[0]?;
     let (mut point, mut normal) = (Vec3::ZERO, Vec3::ZERO);
     for m in met {
@@ -481,7 +497,8 @@ fn shared_share(light: &Illumination, met: &[Option<Met>; GRID * GRID]) -> Optio
         point += m.point / met.len() as f32;
         normal += m.normal;
     }
-    Some(light.lit_share(point, normal.normalize_or_zero()))
+    let draw = Draw::of_pixel(pixel, 0, LAMP_POINTS * met.len() as u32);
+    Some(light.drawn_share(point, normal.normalize_or_zero(), draw))
 }
 
 /// Upper left of the four texels round a point of the object's surface, and where between them.
