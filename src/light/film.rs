@@ -20,7 +20,7 @@ use rayon::prelude::*;
 /// How exact a pixel's mean is made where it shows more than one smooth piece of surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finish {
-    /// Up to 14 samples a pixel.
+    /// Up to 12 samples a pixel.
     Fast,
     /// Up to 64.
     Fine,
@@ -30,7 +30,7 @@ impl Finish {
     /// Samples for a pixel that differs from its neighbours by `contrast`, relative to the larger.
     fn samples(self, contrast: f32) -> u32 {
         let (even, mild, some, many) = match self {
-            Self::Fast => (0.12, 0.3, 4, 14),
+            Self::Fast => (0.12, 0.3, 4, 12),
             Self::Fine => (0.05, 0.2, 16, 64),
         };
         match contrast {

@@ -101,12 +101,12 @@ mod tests {
         let mut met = 0;
         for k in 0..400u32 {
             let (origin, way) = (place(31 * k + 5), place(17 * k + 2));
-            let alone = each.iter().enumerate().filter_map(|(i, kernel)| {
-                let hit = kernel.nearest(origin, way, 0.1, 3.0)?;
-                Some(Hit { triangle: i as u32, ..hit })
-            });
-            let want = alone.min_by(|a, b| a.t.total_cmp(&b.t));
-            assert_eq!(kernel.nearest(origin, way, 0.1, 3.0), want);
+            let alone = each.iter().filter_map(|kernel| kernel.nearest(origin, way, 0.1, 3.0));
+            let want = alone.map(|hit| hit.t).min_by(f32::total_cmp);
+            let found = kernel.nearest(origin, way, 0.1, 3.0);
+            assert_eq!(found.map(|hit| hit.t), want);
+            let owner = found.and_then(|hit| each[hit.triangle as usize].nearest(origin, way, 0.1, 3.0));
+            assert_eq!(owner.map(|hit| [hit.t, hit.u, hit.v]), found.map(|hit| [hit.t, hit.u, hit.v]));
             assert_eq!(kernel.occluded(origin, way, 0.1, 3.0), want.is_some());
             met += i32::from(want.is_some());
         }
