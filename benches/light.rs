@@ -24,7 +24,7 @@ use processes::cpu_seconds;
 use unlit::light::{Finish, Spot, expose, interpolate};
 use unlit::progress::Progress;
 use unlit::reflectance::bounce::simulate;
-use unlit::reflectance::texture::Stage;
+use unlit::reflectance::stage::Stage;
 use unlit::scene::Mesh;
 
 fn timed<T>(name: &str, work: impl FnOnce() -> T) -> T {
@@ -98,7 +98,7 @@ fn halved(mesh: &Mesh) -> Mesh {
 
 fn run(scene: &Scene, stride: usize) {
     let stage = timed("elements and tree", || scene.stage());
-    println!("    {} elements", stage.elements.len());
+    println!("    {} elements, {} patches", stage.elements.len(), stage.patches.len());
     let transport = timed("transport, once a scene", || stage.transport(&Progress::silent()).unwrap());
     for camera in scene.cameras.iter().step_by(scene.cameras.len().div_ceil(3)) {
         println!("  camera {}", camera.name);
@@ -125,12 +125,12 @@ fn run(scene: &Scene, stride: usize) {
         });
         let seen = map.pixels().iter().flatten().count();
         println!("    {seen} pixels show the object alone");
-        let direct = timed("direct on elements", || stage.direct(&light));
+        let direct = timed("direct on patches", || stage.direct(&light));
         for (name, rho, materials) in scene.materials(&stage) {
-            let bounced = timed("bounces on elements", || {
+            let bounced = timed("bounces on patches", || {
                 simulate(&transport, &direct, lamp.radiance, &rho, &Progress::silent()).unwrap()
             });
-            let corners = timed("smoothed", || stage.elements.smooth(&bounced));
+            let corners = timed("smoothed", || stage.smooth(&bounced));
             let shade = |s: &Spot| {
                 let b = interpolate(&corners[s.element], s.at);
                 (s.facing > 0.0).then(|| b.map(|b| b + light.at_spot(s) as f32))

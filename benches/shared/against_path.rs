@@ -9,7 +9,7 @@ use unlit::light::Ring;
 use unlit::progress::Progress;
 use unlit::raster::Rgb;
 use unlit::reflectance::observe::Lamp;
-use unlit::reflectance::texture::Stage;
+use unlit::reflectance::stage::Stage;
 use unlit::scene::import::blocks_exchange;
 use unlit::scene::{Camera, Mesh, read_obj};
 use unlit::studio::world::irradiance::{Light, Reference};
@@ -27,7 +27,7 @@ pub(crate) struct Scene {
     pub(crate) cameras: Vec<Camera>,
 }
 
-/// Name, reflectance by element, reflectance by mesh as the path tracer wants it.
+/// Name, reflectance by patch, reflectance by mesh as the path tracer wants it.
 pub(crate) type Painted = (&'static str, Vec<[f32; 3]>, Vec<Rgb>);
 
 /// A surface point that a camera sees, and the light there.
@@ -77,13 +77,13 @@ impl Scene {
     /// White, and coloured by the truth.
     pub(crate) fn materials(&self, stage: &Stage) -> Vec<Painted> {
         let plain = |value: f32| Rgb::filled(1, 1, [value; 3]);
-        let white = vec![[WHITE; 3]; stage.elements.len()];
-        let (mut sum, mut count) = (white.clone(), vec![0.0f32; stage.elements.len()]);
-        for e in 0..stage.elements.len() {
-            if stage.elements.mesh_of(e) == 0 {
-                sum[e] = [0.0; 3];
+        let white = vec![[WHITE; 3]; stage.patches.len()];
+        let (mut sum, mut count) = (white.clone(), vec![0.0f32; stage.patches.len()]);
+        for p in 0..stage.patches.len() {
+            if stage.patches.mesh_of(p) == 0 {
+                sum[p] = [0.0; 3];
             } else {
-                (sum[e], count[e]) = ([0.4; 3], 1.0);
+                (sum[p], count[p]) = ([0.4; 3], 1.0);
             }
         }
         let n = 12;
@@ -92,12 +92,13 @@ impl Scene {
             for (i, j) in (0..n).flat_map(|i| (0..n - i).map(move |j| (i, j))) {
                 let (u, v) = ((i as f32 + 0.33) / n as f32, (j as f32 + 0.33) / n as f32);
                 let (element, _) = stage.elements.locate(0, triangle, u, v);
+                let (patch, area) = (stage.patches.of(element), stage.elements.area(element));
                 let uv = a * (1.0 - u - v) + b * u + c * v;
                 let size = self.texture.width() as f32;
                 let texel = |t: f32| (t * size).clamp(0.0, size - 1.0) as usize;
                 let value = self.texture.at(texel(uv.x), texel(1.0 - uv.y));
-                count[element] += 1.0;
-                (0..3).for_each(|k| sum[element][k] += value[k]);
+                count[patch] += area;
+                (0..3).for_each(|k| sum[patch][k] += area * value[k]);
             }
         }
         let coloured = sum.iter().zip(&count).map(|(s, n)| s.map(|s| s / n)).collect();

@@ -135,38 +135,9 @@ impl Elements {
         }
     }
 
-    /// Gives every element without a value the mean of its neighbours', ring by ring outwards from those that
-    /// have one; what no ring reaches keeps none.
-    pub fn spread(&self, values: &mut [Option<[f32; 3]>]) {
-        let mut open: Vec<usize> = (0..self.len()).filter(|&e| values[e].is_none()).collect();
-        loop {
-            let found: Vec<(usize, Option<[f32; 3]>)> =
-                open.par_iter().map(|&e| (e, self.mean_of_neighbours(e, values))).collect();
-            open.clear();
-            let mut grown = false;
-            for (e, value) in found {
-                grown |= value.is_some();
-                values[e] = value;
-                if value.is_none() {
-                    open.push(e);
-                }
-            }
-            if !grown {
-                return;
-            }
-        }
-    }
-
-    fn mean_of_neighbours(&self, element: usize, values: &[Option<[f32; 3]>]) -> Option<[f32; 3]> {
-        let run = self.starts[3 * element] as usize..self.starts[3 * element + 3] as usize;
-        let (mut sum, mut count) = ([0.0; 3], 0.0);
-        for value in self.shared[run].iter().filter_map(|&near| values[near as usize]) {
-            count += 1.0;
-            for (s, v) in sum.iter_mut().zip(value) {
-                *s += v;
-            }
-        }
-        (count > 0.0).then(|| sum.map(|s| s / count))
+    /// Elements that share a corner with this one on the same smooth surface, itself among them, some more than once.
+    pub(super) fn beside(&self, element: usize) -> &[u32] {
+        &self.shared[self.starts[3 * element] as usize..self.starts[3 * element + 3] as usize]
     }
 
     /// Spreads one value an element to one a corner of each element, averaging with the neighbours that
@@ -299,18 +270,6 @@ mod tests {
         };
         let elements = Elements::build(&[&floor], &[0.01]);
         assert!(elements.len() < 2_000_000, "{}", elements.len());
-    }
-
-    #[test]
-    fn values_spread_to_the_whole_of_a_connected_surface() {
-        let elements = Elements::build(&[&triangle(), &triangle()], &[0.2, 2.0]);
-        let mut values = vec![None; elements.len()];
-        values[7] = Some([0.25, 0.5, 0.75]);
-        elements.spread(&mut values);
-        for (e, value) in values.iter().enumerate() {
-            let want = (elements.mesh_of(e) == 0).then_some([0.25, 0.5, 0.75]);
-            assert_eq!(*value, want, "element {e}");
-        }
     }
 
     #[test]

@@ -1,40 +1,46 @@
-//! Transport of bounces: which element sees which, once and for all views and all rounds.
+//! Transport of bounces: which patch sees which, once and for all views and all rounds.
 //!
-//! From every element leave `rays` cosine-distributed directions (Malley's method on a Kronecker sequence,
-//! rotated for each element), and the element that each meets is kept. With cosine-distributed directions the
+//! From places all over every patch leave `rays` cosine-distributed directions (Malley's method on a Kronecker sequence,
+//! shifted for each patch) against the full surface, and the patch that each meets is kept. With cosine-distributed directions the
 //! irradiance from a diffuse surrounding is the plain mean of what is met: E = mean of rho E_total, since the
 //! radiance of a Lambertian surface is rho E / pi. (Kajiya 1986, for Lambertian surfaces: radiosity by
 //! gathering.) Geometry alone decides it, so it serves every view and every estimate of the reflectance.
 
-use super::Elements;
+use super::{Elements, Patches};
 use crate::progress::{Cancelled, Progress};
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
 use std::f32::consts::TAU;
 
-/// No element in this direction: darkness.
+/// No patch in this direction: darkness.
 const NOTHING: u32 = u32::MAX;
 
-/// Elements per tile between two looks at the cancel flag.
-const TILE: usize = 4096;
+/// Patches per tile between two looks at the cancel flag.
+const TILE: usize = 256;
 
-/// For every element, the elements that its rays meet.
+/// For every patch, the patches that its rays meet, in order.
 pub struct Transport {
     rays: usize,
     met: Vec<u32>,
 }
 
 impl Transport {
-    /// Traces `rays` directions from every element. A ray that meets a back face meets nothing: that is the
+    /// Traces `rays` directions from every patch. A ray that meets a back face meets nothing: that is the
     /// inside of a closed body.
-    pub fn trace(elements: &Elements, rays: usize, progress: &Progress) -> Result<Self, Cancelled> {
-        let mut met = vec![NOTHING; rays * elements.len()];
-        let tiles = elements.len().div_ceil(TILE);
+    pub fn trace(
+        elements: &Elements,
+        patches: &Patches,
+        rays: usize,
+        progress: &Progress,
+    ) -> Result<Self, Cancelled> {
+        let mut met = vec![NOTHING; rays * patches.len()];
+        let tiles = patches.len().div_ceil(TILE);
         let done = std::sync::atomic::AtomicUsize::new(0);
         met.par_chunks_mut(rays * TILE).enumerate().try_for_each(|(tile, chunk)| {
             progress.check()?;
             for (k, row) in chunk.chunks_mut(rays).enumerate() {
-                gather(elements, tile * TILE + k, row);
+                gather(elements, patches, tile * TILE + k, row);
+                row.sort_unstable();
             }
             let finished = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
             progress.report("tracing bounces", finished, tiles);
@@ -45,7 +51,7 @@ impl Transport {
 
     /// Bounces until they add up: `irradiance` (laid out as in [`Transport::gather`]) is taken as a first guess and
     /// ends as the sum of the series E = T (rho (D + E)). `emit` gives the exitance rho (D + E) of the irradiance E
-    /// so far. It ends when a bounce changes the sum over all elements by less than `tolerance` of it, or after
+    /// so far. It ends when a bounce changes the sum over all patches by less than `tolerance` of it, or after
     /// `most` bounces, and gives that change after every bounce.
     pub fn settle(
         &self,
@@ -71,16 +77,18 @@ impl Transport {
         Ok(changes)
     }
 
-    /// One bounce: irradiance on every element from `exitance` = rho E of all others; `views` values a colour
-    /// channel triple are laid side by side (`exitance[element * width + i]`).
+    /// One bounce: irradiance on every patch from `exitance` = rho E of all others; `views` values a colour
+    /// channel triple are laid side by side (`exitance[patch * width + i]`).
     pub fn gather(&self, exitance: &[f32], width: usize, out: &mut [f32]) {
         let scale = 1.0 / self.rays as f32;
         out.par_chunks_mut(width).zip(self.met.par_chunks(self.rays)).for_each(|(sum, met)| {
             sum.fill(0.0);
-            for &other in met.iter().filter(|&&other| other != NOTHING) {
-                let from = &exitance[other as usize * width..(other as usize + 1) * width];
+            // Sorted: a patch that is met often is read once.
+            for run in met.chunk_by(|a, b| a == b).filter(|run| run[0] != NOTHING) {
+                let (other, times) = (run[0] as usize, run.len() as f32);
+                let from = &exitance[other * width..(other + 1) * width];
                 for (s, x) in sum.iter_mut().zip(from) {
-                    *s += x;
+                    *s += times * x;
                 }
             }
             for s in sum.iter_mut() {
@@ -104,19 +112,19 @@ fn relative_change(before: &[f32], now: &[f32]) -> f64 {
     if all > 0.0 { off / all } else { 0.0 }
 }
 
-fn gather(elements: &Elements, element: usize, row: &mut [u32]) {
-    let normal = elements.normal(element);
-    if normal == Vec3::ZERO {
-        return;
-    }
-    let corners = *elements.kernel().corners(element as u32);
-    let size = (corners[1] - corners[0]).length().max((corners[2] - corners[0]).length());
-    let scale = corners[0].abs().max_element().max(size);
-    let lift = normal * (1e-5 * scale + 1e-3 * size);
-    let turn = Quat::from_rotation_arc(Vec3::Z, normal);
-    let shift: [f32; 4] = std::array::from_fn(|d| hashed(element as u32, d as u32));
+fn gather(elements: &Elements, patches: &Patches, patch: usize, row: &mut [u32]) {
+    let shift: [f32; 5] = std::array::from_fn(|d| hashed(patch as u32, d as u32));
     for (i, met) in row.iter_mut().enumerate() {
-        let s: [f32; 4] = std::array::from_fn(|d| (shift[d] + (i as f32 + 0.5) * KRONECKER[d]).fract());
+        let s: [f32; 5] = std::array::from_fn(|d| (shift[d] + (i as f32 + 0.5) * KRONECKER[d]).fract());
+        let element = patches.element_at(elements, patch, s[4]);
+        let normal = elements.normal(element);
+        if normal == Vec3::ZERO {
+            continue;
+        }
+        let corners = *elements.kernel().corners(element as u32);
+        let size = (corners[1] - corners[0]).length().max((corners[2] - corners[0]).length());
+        let scale = corners[0].abs().max_element().max(size);
+        let lift = normal * (1e-5 * scale + 1e-3 * size);
         let (radius, angle) = (s[0].sqrt(), TAU * s[1]);
         let local = Vec3::new(radius * angle.cos(), radius * angle.sin(), (1.0 - s[0]).max(0.0).sqrt());
         let (mut u, mut v) = (s[2], s[3]);
@@ -124,21 +132,21 @@ fn gather(elements: &Elements, element: usize, row: &mut [u32]) {
             (u, v) = (1.0 - u, 1.0 - v);
         }
         let start = corners[0] + (corners[1] - corners[0]) * u + (corners[2] - corners[0]) * v + lift;
-        let direction = turn * local;
+        let direction = Quat::from_rotation_arc(Vec3::Z, normal) * local;
         if let Some(hit) = elements.kernel().nearest(start, direction, 0.0, f32::INFINITY)
             && elements.normal(hit.triangle as usize).dot(direction) < 0.0
         {
-            *met = hit.triangle;
+            *met = patches.of(hit.triangle as usize) as u32;
         }
     }
 }
 
-/// Fractional parts of the powers of 1 / 1.167304, root of x^5 = x + 1: an even spread in four dimensions.
-const KRONECKER: [f32; 4] = [0.856_674_9, 0.733_891_9, 0.628_706_7, 0.538_597_3];
+/// Fractional parts of the powers of 1 / 1.134724, root of x^6 = x + 1: an even spread in five dimensions.
+const KRONECKER: [f32; 5] = [0.881_271_5, 0.776_639_5, 0.684_430_2, 0.603_168_8, 0.531_555_6];
 
 /// A number in 0..1 that depends on both arguments without visible pattern (Wellons, "lowbias32").
 fn hashed(a: u32, b: u32) -> f32 {
-    let mut x = a.wrapping_mul(4).wrapping_add(b).wrapping_add(0x9e37_79b9);
+    let mut x = a.wrapping_mul(5).wrapping_add(b).wrapping_add(0x9e37_79b9);
     x = (x ^ (x >> 16)).wrapping_mul(0x7feb_352d);
     x = (x ^ (x >> 15)).wrapping_mul(0x846c_a68b);
     x ^= x >> 16;
@@ -173,7 +181,8 @@ mod tests {
     #[test]
     fn in_a_furnace_bounces_add_up_to_the_geometric_series() {
         let elements = furnace();
-        let transport = Transport::trace(&elements, 64, &Progress::silent()).unwrap();
+        let transport =
+            Transport::trace(&elements, &Patches::single(&elements), 64, &Progress::silent()).unwrap();
         let (rho, direct) = (0.6f32, 2.0f32);
         let mut bounced = vec![0.0f32; elements.len()];
         let mut next = bounced.clone();
@@ -192,7 +201,8 @@ mod tests {
     #[test]
     fn the_series_ends_by_its_own_change_and_not_before_it_adds_up() {
         let elements = furnace();
-        let transport = Transport::trace(&elements, 64, &Progress::silent()).unwrap();
+        let transport =
+            Transport::trace(&elements, &Patches::single(&elements), 64, &Progress::silent()).unwrap();
         let settled = |rho: f32, tolerance: f64| {
             let mut bounced = vec![0.0f32; elements.len()];
             let emit = |e: &[f32], out: &mut [f32]| {
@@ -226,7 +236,8 @@ mod tests {
         };
         let (low, high) = (plate(0.0, true), plate(1.0, false));
         let elements = Elements::build(&[&low, &high], &[0.1, 0.1]);
-        let transport = Transport::trace(&elements, 64, &Progress::silent()).unwrap();
+        let transport =
+            Transport::trace(&elements, &Patches::single(&elements), 64, &Progress::silent()).unwrap();
         let exitance: Vec<f32> = (0..elements.len()).map(|e| elements.mesh_of(e) as f32).collect();
         let mut got = vec![0.0; elements.len()];
         transport.gather(&exitance, 1, &mut got);

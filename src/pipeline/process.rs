@@ -23,7 +23,8 @@ use crate::reflectance::joint::Run;
 use crate::reflectance::orientation::face_cameras;
 use crate::reflectance::range::OutOfRange;
 use crate::reflectance::robust::Lobe;
-use crate::reflectance::texture::{Solver, Stage, Texture, TextureError};
+use crate::reflectance::stage::Stage;
+use crate::reflectance::texture::{Solver, Texture, TextureError};
 use crate::reflectance::unwrap::{UnwrapError, UvChoice, UvSource};
 use crate::scene::{Camera, Mesh, Scene};
 use crate::session::{Session, SessionError, store};
@@ -250,7 +251,7 @@ fn outputs(uvs: &UvSource) -> Vec<String> {
     ["reflectance.exr", "stddev.exr", "views.exr", "model.glb", "summary.json", "report.html"]
         .map(|name| format!("model/{name}"))
         .into_iter()
-        .chain([super::views::ELEMENTS.to_owned()])
+        .chain([super::views::PATCHES.to_owned()])
         .chain((*uvs != UvSource::Own).then(|| uvs::FILE.to_owned()))
         .collect()
 }
@@ -405,7 +406,7 @@ fn solve_and_write(
         uvs::keep(session, object, &summary.uvs)?;
     }
     write(session, &scene, inputs, &texture, &summary)?;
-    super::views::keep_elements(session, &texture.bounces.rho)?;
+    super::views::keep_patches(session, &texture.bounces.rho)?;
     costs.done("writing");
     summary.costs = costs.list;
     let path = session.model_dir().join("summary.json");

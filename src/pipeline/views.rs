@@ -17,8 +17,8 @@ use crate::reflectance::maps::{own_look, view_maps};
 use crate::reflectance::project::{Projection, Surroundings};
 use crate::session::{Session, store};
 
-/// Reflectance of the surface elements as the texture's run left it, three little-endian f32 an element.
-pub(super) const ELEMENTS: &str = "derived/elements.f32";
+/// Reflectance of the surface's patches as the texture's run left it, three little-endian f32 a patch.
+pub(super) const PATCHES: &str = "derived/patches.f32";
 
 /// Makes the per-view images that are missing or out of date, and the texture if that is. Gives the numbers of
 /// images made and of those that still stood.
@@ -29,16 +29,16 @@ pub fn ensure(session: &Session, progress: &Progress) -> Result<(usize, usize), 
     Ok(process(session, &ProcessOptions { texture_size, views: true, uvs }, progress)?.views)
 }
 
-pub(super) fn keep_elements(session: &Session, rho: &[[f32; 3]]) -> Result<(), ProcessError> {
-    let path = session.path().join(ELEMENTS);
+pub(super) fn keep_patches(session: &Session, rho: &[[f32; 3]]) -> Result<(), ProcessError> {
+    let path = session.path().join(PATCHES);
     let folder = session.derived_dir();
     std::fs::create_dir_all(&folder).map_err(io(&folder))?;
     let bytes: Vec<u8> = rho.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
     store::write_atomic(&path, &bytes).map_err(io(&path))
 }
 
-fn elements(session: &Session) -> Result<Vec<[f32; 3]>, ProcessError> {
-    let path = session.path().join(ELEMENTS);
+fn patches(session: &Session) -> Result<Vec<[f32; 3]>, ProcessError> {
+    let path = session.path().join(PATCHES);
     let bytes = std::fs::read(&path).map_err(io(&path))?;
     let number = |at: &[u8]| f32::from_le_bytes([at[0], at[1], at[2], at[3]]);
     Ok(bytes.chunks_exact(12).map(|e| [number(e), number(&e[4..]), number(&e[8..])]).collect())
@@ -59,7 +59,7 @@ pub(super) fn make(
     progress: &Progress,
 ) -> Result<(usize, usize), ProcessError> {
     let stage_name = |name: &str| format!("view {name}");
-    let rho_file = session.path().join(ELEMENTS);
+    let rho_file = session.path().join(PATCHES);
     let rho_digest = store::digest_file(&rho_file).map_err(io(&rho_file))?;
     let summary = super::process::stored(session).ok_or_else(|| ProcessError::Stale(rho_file.clone()))?;
     let texture_file = session.model_dir().join("reflectance.exr");
@@ -83,21 +83,21 @@ pub(super) fn make(
     let mut scene = inputs.scene.clone();
     let (stage, _) = stage(&mut scene);
     let transport = stage.transport(progress)?;
-    let rho = elements(session)?;
-    if rho.len() != stage.elements.len() {
+    let rho = patches(session)?;
+    if rho.len() != stage.patches.len() {
         return Err(ProcessError::Stale(rho_file));
     }
-    // What an element sends on: its reflectance, and what a gloss adds.
+    // What a patch sends on: its reflectance, and what a gloss adds.
     let sent: Vec<[f32; 3]> = rho
         .iter()
         .enumerate()
-        .map(|(e, rho)| {
-            let gloss = summary.gloss.get(stage.elements.mesh_of(e)).copied().flatten();
+        .map(|(p, rho)| {
+            let gloss = summary.gloss.get(stage.patches.mesh_of(p)).copied().flatten();
             rho.map(|r| r + gloss.map_or(0.0, |lobe| lobe.sent_on()))
         })
         .collect();
     let (texels, size) = texels(session)?;
-    let Some(around) = Surroundings::new(&scene.meshes, &stage.elements, &rho, &summary.gloss, size) else {
+    let Some(around) = Surroundings::new(&scene.meshes, &stage, &rho, &summary.gloss, size) else {
         return Err(ProcessError::Stale(rho_file));
     };
     let made = missing.len();
@@ -109,7 +109,7 @@ pub(super) fn make(
         let lamp = lamp(pair, &inputs.calibration)?;
         let light = stage.illuminate(camera, &lamp);
         let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &sent, progress)?;
-        let mut maps = view_maps(&light, &known, &stage.elements, &bounced, progress)?;
+        let mut maps = view_maps(&light, &known, &stage, &bounced, progress)?;
         if let Some(view) = Projection::look(&around, &light, &bounced, &sites, progress)? {
             let own = own_look(&light, &view, &texels, gain.value, summary.blur);
             for (to, from) in maps.reflectance.pixels_mut().iter_mut().zip(own.pixels()) {

@@ -1,6 +1,6 @@
 //! Bounced light, simulated again and again with the reflectance found so far.
 //!
-//! On the elements of [`crate::light::Elements`], for every view v: `E_v = T (rho (D_v + E_v))`, D being the
+//! On the patches of [`crate::light::Patches`], for every view v: `E_v = T (rho (D_v + E_v))`, D being the
 //! flash's direct light and T the geometry's transport. White bounces (the thesis) leave the result too dark,
 //! none too bright; with the estimate put back in, both errors shrink round by round.
 
@@ -8,7 +8,8 @@ use super::mirror::mirrored;
 use super::observe::Observation;
 use super::robust::{Glint, Lobe};
 use super::solve::{Reading, solve};
-use crate::light::{Elements, Transport};
+use super::stage::Stage;
+use crate::light::{Patches, Transport};
 use crate::progress::{Cancelled, Progress};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -31,7 +32,7 @@ const MOST_REFLECTANCE: f32 = 0.97;
 /// is looked for in.
 const GLOSS_ROUNDS: usize = 3;
 
-/// Relative error of a reading beside noise when the gloss is looked for: texture within an element, pose, mesh.
+/// Relative error of a reading beside noise when the gloss is looked for: texture within a patch, pose, mesh.
 const SCATTER: f32 = 0.03;
 
 /// Readings in less direct light than this share of a point's brightest tell no gloss.
@@ -40,69 +41,70 @@ const LIT: f32 = 0.1;
 /// How far one round moved the estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Round {
-    /// Area-weighted mean of |change of rho| over the observed elements and channels.
+    /// Area-weighted mean of |change of rho| over the observed patches and channels.
     pub mean_change: f64,
 }
 
-/// Light and reflectance on the elements.
+/// Light and reflectance on the patches.
 pub struct Bounces {
     views: usize,
-    /// Irradiance by bounces in DN, `[element][view][channel]`.
+    /// Irradiance by bounces in DN, `[patch][view][channel]`.
     irradiance: Vec<f32>,
     /// What a gloss mirrors of other surfaces, laid out likewise; before any gloss is found, empty.
     mirrored: Vec<f32>,
-    /// Reflectance by element.
+    /// Reflectance by patch.
     pub rho: Vec<[f32; 3]>,
     /// What each round changed.
     pub rounds: Vec<Round>,
-    /// Share of bounced light in each element's light, by channel.
+    /// Share of bounced light in each patch's light, by channel.
     pub shares: Vec<[f32; 3]>,
     /// The gloss of each mesh, where one was found: to be taken off every observation of it.
     pub gloss: Vec<Option<Lobe>>,
 }
 
-/// What one view gives: where its camera stands, the flash's irradiance per unit radiance on every element, its radiance per channel
-/// (DN), and its observations by element, ascending.
+/// What one view gives: where its camera stands, the flash's irradiance per unit radiance on every patch, its radiance per channel
+/// (DN), and its observations by patch, ascending.
 pub struct ViewLight {
     /// Centre of the camera, metres, world frame.
     pub eye: Vec3,
-    /// Irradiance per unit radiance, one an element.
+    /// Irradiance per unit radiance, one a patch.
     pub direct: Vec<f32>,
     /// Radiance, DN.
     pub radiance: [f64; 3],
-    /// Observations of elements.
+    /// Observations of patches.
     pub seen: Vec<(u32, Observation)>,
 }
 
 impl Bounces {
     /// Simulates and solves until the estimate stands still.
     pub fn settle(
-        elements: &Elements,
+        stage: &Stage,
         transport: &Transport,
         views: &[ViewLight],
         progress: &Progress,
     ) -> Result<Self, Cancelled> {
+        let patches = &stage.patches;
         let width = 3 * views.len();
-        let mut seen = by_element(elements.len(), views);
-        let meshes = (0..elements.len()).map(|e| elements.mesh_of(e) + 1).max().unwrap_or(0);
+        let mut seen = by_patch(patches.len(), views);
+        let meshes = (0..patches.len()).map(|e| patches.mesh_of(e) + 1).max().unwrap_or(0);
         let mut state = Self {
             views: views.len(),
-            irradiance: vec![0.0; elements.len() * width],
+            irradiance: vec![0.0; patches.len() * width],
             mirrored: vec![],
             rho: vec![],
             rounds: vec![],
             shares: vec![],
             gloss: vec![None; meshes],
         };
-        state.rho = state.solve_elements(elements, &seen);
-        state.iterate(elements, transport, views, &seen, progress)?;
+        state.rho = state.solve_patches(patches, &seen);
+        state.iterate(patches, transport, views, &seen, progress)?;
         for _ in 0..GLOSS_ROUNDS {
-            if !state.find_gloss(elements, &mut seen, progress)? {
+            if !state.find_gloss(patches, &mut seen, progress)? {
                 break;
             }
-            state.mirror(elements, views, progress)?;
-            state.rho = state.solve_elements(elements, &seen);
-            state.iterate(elements, transport, views, &seen, progress)?;
+            state.mirror(stage, views, progress)?;
+            state.rho = state.solve_patches(patches, &seen);
+            state.iterate(patches, transport, views, &seen, progress)?;
         }
         state.shares = state.shares(views);
         Ok(state)
@@ -111,7 +113,7 @@ impl Bounces {
     /// Rounds of simulating and solving.
     fn iterate(
         &mut self,
-        elements: &Elements,
+        patches: &Patches,
         transport: &Transport,
         views: &[ViewLight],
         seen: &Seen,
@@ -123,11 +125,11 @@ impl Bounces {
             progress.report("bounces, round", round, MOST_ROUNDS);
             // The later rounds go on from the earlier ones' light.
             let mut irradiance = std::mem::take(&mut state.irradiance);
-            let emit = |bounced: &[f32], exitance: &mut [f32]| state.emit(elements, views, bounced, exitance);
+            let emit = |bounced: &[f32], exitance: &mut [f32]| state.emit(patches, views, bounced, exitance);
             transport.settle(width, &mut irradiance, (SETTLED, MOST_BOUNCES), emit, progress)?;
             state.irradiance = irradiance;
-            let next = state.solve_elements(elements, seen);
-            let change = mean_change(elements, seen, &state.rho, &next);
+            let next = state.solve_patches(patches, seen);
+            let change = mean_change(patches, seen, &state.rho, &next);
             state.rho = next;
             state.rounds.push(Round { mean_change: change });
             if change < STILL {
@@ -141,20 +143,20 @@ impl Bounces {
     /// whether there is any.
     fn find_gloss(
         &mut self,
-        elements: &Elements,
+        patches: &Patches,
         seen: &mut Seen,
         progress: &Progress,
     ) -> Result<bool, Cancelled> {
-        for e in 0..elements.len() {
-            if let Some(lobe) = self.gloss[elements.mesh_of(e)] {
+        for e in 0..patches.len() {
+            if let Some(lobe) = self.gloss[patches.mesh_of(e)] {
                 seen.of_mut(e).iter_mut().for_each(|(_, o)| lobe.put_back(o));
             }
         }
         for mesh in 0..self.gloss.len() {
             progress.check()?;
-            let glints: Vec<Vec<Glint>> = (0..elements.len())
+            let glints: Vec<Vec<Glint>> = (0..patches.len())
                 .into_par_iter()
-                .filter(|&e| elements.mesh_of(e) == mesh)
+                .filter(|&e| patches.mesh_of(e) == mesh)
                 .map(|e| self.glints(e, seen.of(e)))
                 .collect();
             self.gloss[mesh] = Lobe::fit(&glints);
@@ -162,8 +164,8 @@ impl Bounces {
                 tracing::info!("mesh {mesh} is glossy: weight {:.3}, alpha {:.3}", lobe.weight, lobe.alpha);
             }
         }
-        for e in 0..elements.len() {
-            if let Some(lobe) = self.gloss[elements.mesh_of(e)] {
+        for e in 0..patches.len() {
+            if let Some(lobe) = self.gloss[patches.mesh_of(e)] {
                 seen.of_mut(e).iter_mut().for_each(|(_, o)| lobe.take_off(o));
             }
         }
@@ -171,21 +173,16 @@ impl Bounces {
     }
 
     /// Traces what the glosses found mirror of the present light.
-    fn mirror(
-        &mut self,
-        elements: &Elements,
-        views: &[ViewLight],
-        progress: &Progress,
-    ) -> Result<(), Cancelled> {
+    fn mirror(&mut self, stage: &Stage, views: &[ViewLight], progress: &Progress) -> Result<(), Cancelled> {
         let width = 3 * self.views;
         let mut exitance = vec![0.0; self.irradiance.len()];
-        self.emit(elements, views, &self.irradiance, &mut exitance);
+        self.emit(&stage.patches, views, &self.irradiance, &mut exitance);
         self.mirrored.resize(self.irradiance.len(), 0.0);
         for (v, view) in views.iter().enumerate() {
             progress.check()?;
             let of_view = |e: usize| [0, 1, 2].map(|c| exitance[e * width + 3 * v + c]);
-            let sent: Vec<[f32; 3]> = (0..elements.len()).map(of_view).collect();
-            for (e, light) in mirrored(elements, view.eye, &self.gloss, &sent).into_iter().enumerate() {
+            let sent: Vec<[f32; 3]> = (0..stage.patches.len()).map(of_view).collect();
+            for (e, light) in mirrored(stage, view.eye, &self.gloss, &sent).into_iter().enumerate() {
                 let at = e * width + 3 * v;
                 self.mirrored[at..at + 3].copy_from_slice(&light);
             }
@@ -198,14 +195,14 @@ impl Bounces {
         *self.mirrored.get(at).unwrap_or(&self.irradiance[at])
     }
 
-    /// An element's readings, bounced light taken off by the present estimate.
-    fn glints(&self, element: usize, seen: &[(u16, Observation)]) -> Vec<Glint> {
+    /// A patch's readings, bounced light taken off by the present estimate.
+    fn glints(&self, patch: usize, seen: &[(u16, Observation)]) -> Vec<Glint> {
         let brightest = seen.iter().map(|(_, o)| o.white[1]).fold(0.0, f32::max);
         let glint = |(view, o): &(u16, Observation)| {
-            let at = 3 * (element * self.views + usize::from(*view));
+            let at = 3 * (patch * self.views + usize::from(*view));
             let (mut ratio, mut variance, mut mirrored) = (0.0, 0.0, 0.0);
             for c in 0..3 {
-                let rho = self.rho[element][c];
+                let rho = self.rho[patch][c];
                 ratio += (o.known[c] - rho * o.response * self.irradiance[at + c]) / o.white[c] / 3.0;
                 mirrored += o.response * self.mirrored_at(at + c) / o.white[c] / 3.0;
                 let scatter = SCATTER * rho * o.white[c];
@@ -217,13 +214,13 @@ impl Bounces {
         lit.map(glint).filter(|g| g.ratio.is_finite() && g.weight.is_finite() && g.weight > 0.0).collect()
     }
 
-    /// Irradiance by bounces on every element for one view, DN.
+    /// Irradiance by bounces on every patch for one view, DN.
     pub fn of_view(&self, view: usize) -> Vec<[f32; 3]> {
         let all = self.irradiance.chunks_exact(3 * self.views);
         all.map(|all| [all[3 * view], all[3 * view + 1], all[3 * view + 2]]).collect()
     }
 
-    /// Share of bounced light in all the light of the views that light an element, by channel.
+    /// Share of bounced light in all the light of the views that light a patch, by channel.
     fn shares(&self, views: &[ViewLight]) -> Vec<[f32; 3]> {
         self.irradiance
             .par_chunks_exact(3 * self.views)
@@ -243,8 +240,8 @@ impl Bounces {
             .collect()
     }
 
-    /// Exitance rho (D + E) of every element for every view.
-    fn emit(&self, elements: &Elements, views: &[ViewLight], irradiance: &[f32], exitance: &mut [f32]) {
+    /// Exitance rho (D + E) of every patch for every view.
+    fn emit(&self, patches: &Patches, views: &[ViewLight], irradiance: &[f32], exitance: &mut [f32]) {
         let width = 3 * self.views;
         let gloss: Vec<f32> = self.gloss.iter().map(|g| g.map_or(0.0, |lobe| lobe.sent_on())).collect();
         exitance.par_chunks_mut(width).zip(irradiance.par_chunks(width)).enumerate().for_each(
@@ -252,7 +249,7 @@ impl Bounces {
                 for (v, view) in views.iter().enumerate() {
                     for c in 0..3 {
                         // What a gloss throws on others goes all ways on the whole, as from paint.
-                        let sent = self.rho[e][c] + gloss[elements.mesh_of(e)];
+                        let sent = self.rho[e][c] + gloss[patches.mesh_of(e)];
                         let rho = sent.clamp(0.0, MOST_REFLECTANCE);
                         let light = view.direct[e] * view.radiance[c] as f32 + bounced[3 * v + c];
                         out[3 * v + c] = rho * light;
@@ -262,11 +259,11 @@ impl Bounces {
         );
     }
 
-    /// Reflectance of every element with the present bounces; what no view sees takes after the seen surface
+    /// Reflectance of every patch with the present bounces; what no view sees takes after the seen surface
     /// round it, and what is not connected to any takes its mesh's mean.
-    fn solve_elements(&self, elements: &Elements, seen: &Seen) -> Vec<[f32; 3]> {
+    fn solve_patches(&self, patches: &Patches, seen: &Seen) -> Vec<[f32; 3]> {
         let width = 3 * self.views;
-        let mut solved: Vec<Option<[f32; 3]>> = (0..elements.len())
+        let mut solved: Vec<Option<[f32; 3]>> = (0..patches.len())
             .into_par_iter()
             .map(|e| {
                 let readings: Vec<Reading> = seen
@@ -281,11 +278,11 @@ impl Bounces {
                 solve(&readings).map(|estimate| estimate.rho)
             })
             .collect();
-        let meshes = (0..elements.len()).map(|e| elements.mesh_of(e) + 1).max().unwrap_or(0);
+        let meshes = (0..patches.len()).map(|e| patches.mesh_of(e) + 1).max().unwrap_or(0);
         let (mut sum, mut area) = (vec![[0.0f64; 3]; meshes], vec![0.0f64; meshes]);
         for (e, rho) in solved.iter().enumerate() {
             if let Some(rho) = rho {
-                let (mesh, a) = (elements.mesh_of(e), f64::from(elements.area(e)));
+                let (mesh, a) = (patches.mesh_of(e), f64::from(patches.area(e)));
                 area[mesh] += a;
                 for c in 0..3 {
                     sum[mesh][c] += a * f64::from(rho[c]);
@@ -294,12 +291,12 @@ impl Bounces {
         }
         let mean = |m: usize| sum[m].map(|s| if area[m] > 0.0 { (s / area[m]) as f32 } else { 0.0 });
         let means: Vec<[f32; 3]> = (0..meshes).map(mean).collect();
-        elements.spread(&mut solved);
-        solved.iter().enumerate().map(|(e, rho)| rho.unwrap_or(means[elements.mesh_of(e)])).collect()
+        patches.spread(&mut solved);
+        solved.iter().enumerate().map(|(e, rho)| rho.unwrap_or(means[patches.mesh_of(e)])).collect()
     }
 }
 
-/// Irradiance by bounces (DN) on every element in one view's light, for elements of which it is known already what
+/// Irradiance by bounces (DN) on every patch in one view's light, for patches of which it is known already what
 /// share of their light they send on: `rho` and the gloss's [`Lobe::sent_on`].
 pub fn simulate(
     transport: &Transport,
@@ -329,43 +326,43 @@ fn reading(o: &Observation, bounced: &[f32; 3], mirrored: &[f32; 3]) -> Reading 
     Reading { known, variance: o.variance, white, resolution: o.resolution }
 }
 
-/// Observations sorted by element.
+/// Observations sorted by patch.
 struct Seen {
     starts: Vec<u32>,
     list: Vec<(u16, Observation)>,
 }
 
 impl Seen {
-    fn of(&self, element: usize) -> &[(u16, Observation)] {
-        &self.list[self.starts[element] as usize..self.starts[element + 1] as usize]
+    fn of(&self, patch: usize) -> &[(u16, Observation)] {
+        &self.list[self.starts[patch] as usize..self.starts[patch + 1] as usize]
     }
 
-    fn of_mut(&mut self, element: usize) -> &mut [(u16, Observation)] {
-        &mut self.list[self.starts[element] as usize..self.starts[element + 1] as usize]
+    fn of_mut(&mut self, patch: usize) -> &mut [(u16, Observation)] {
+        &mut self.list[self.starts[patch] as usize..self.starts[patch + 1] as usize]
     }
 }
 
-fn by_element(elements: usize, views: &[ViewLight]) -> Seen {
+fn by_patch(patches: usize, views: &[ViewLight]) -> Seen {
     let mut all: Vec<(u32, u16, Observation)> = views
         .iter()
         .enumerate()
         .flat_map(|(v, view)| view.seen.iter().map(move |(e, o)| (*e, v as u16, *o)))
         .collect();
     all.sort_by_key(|(e, v, _)| (*e, *v));
-    let mut starts = vec![0u32; elements + 1];
+    let mut starts = vec![0u32; patches + 1];
     for (e, _, _) in &all {
         starts[*e as usize + 1] += 1;
     }
-    for e in 0..elements {
+    for e in 0..patches {
         starts[e + 1] += starts[e];
     }
     Seen { starts, list: all.into_iter().map(|(_, v, o)| (v, o)).collect() }
 }
 
-fn mean_change(elements: &Elements, seen: &Seen, before: &[[f32; 3]], after: &[[f32; 3]]) -> f64 {
+fn mean_change(patches: &Patches, seen: &Seen, before: &[[f32; 3]], after: &[[f32; 3]]) -> f64 {
     let (mut sum, mut area) = (0.0, 0.0);
-    for e in (0..elements.len()).filter(|&e| !seen.of(e).is_empty()) {
-        let a = f64::from(elements.area(e));
+    for e in (0..patches.len()).filter(|&e| !seen.of(e).is_empty()) {
+        let a = f64::from(patches.area(e));
         area += a;
         sum += a * (0..3).map(|c| f64::from((after[e][c] - before[e][c]).abs())).sum::<f64>() / 3.0;
     }

@@ -11,7 +11,8 @@
 
 use super::observe::{GRAZING, Illumination};
 use super::project::Projection;
-use crate::light::{Elements, Finish, Spot, expose, interpolate};
+use super::stage::Stage;
+use crate::light::{Finish, Spot, expose, interpolate};
 use crate::photometry::Known;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
@@ -35,17 +36,17 @@ pub struct ViewMaps {
     pub reflectance: Image<Option<[f32; 3]>>,
 }
 
-/// Computes a view's images. `bounced` is the view's bounced irradiance, DN, one an element.
+/// Computes a view's images. `bounced` is the view's bounced irradiance, DN, one a patch.
 pub fn view_maps(
     light: &Illumination,
     known: &Known,
-    elements: &Elements,
+    stage: &Stage,
     bounced: &[[f32; 3]],
     progress: &Progress,
 ) -> Result<ViewMaps, Cancelled> {
     let lens = &light.camera().intrinsics;
     let (width, height) = (lens.width, lens.height);
-    let corners = elements.smooth(bounced);
+    let corners = stage.smooth(bounced);
     let (camera, lamp) = (light.camera(), light.lamp());
     let shade = |spot: &Spot| {
         (f64::from(spot.facing) > GRAZING).then(|| {
@@ -54,7 +55,7 @@ pub fn view_maps(
             std::array::from_fn(|c| (lamp.radiance[c] * unit) as f32 + bounce[c])
         })
     };
-    let irradiance = expose(camera, elements, light.sight(), Finish::Fast, shade, progress)?;
+    let irradiance = expose(camera, &stage.elements, light.sight(), Finish::Fast, shade, progress)?;
     let white = Image::from_fn(width, height, |x, y| {
         let response = lamp.field.at(lens, DVec2::new(x as f64, y as f64) + 0.5) / PI;
         irradiance.at(x, y).map(|e| e.map(|e| (f64::from(e) * response) as f32))

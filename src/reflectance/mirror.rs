@@ -1,40 +1,58 @@
 //! What a gloss mirrors of the lit surfaces round it.
 //!
-//! From the middle of each glossy element leave rays along the lobe, as the camera sees it: microfacets drawn with
+//! From a few places of each glossy patch leave rays along the lobe, as the camera sees it: microfacets drawn with
 //! density D cos, the view mirrored in them, each counting by G (v.h) / (cos_v cos_h) (Walter et al., EGSR 2007,
 //! eq. 41). Their mean of the exitance that they meet, times the lobe's weight, adds to the reading as a white
 //! surface's bounced irradiance would.
 
 use super::robust::{Lobe, passed};
+use super::stage::Stage;
 use crate::light::Elements;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::TAU;
 
-/// Rays an element; neighbours are averaged when the result is smoothed.
+/// Rays a patch; neighbours are averaged when the result is smoothed.
 const RAYS: usize = 12;
 
 /// Steps of an even spread in two dimensions: powers of 1 / 1.324718, root of x^3 = x + 1.
 const KRONECKER: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053];
 
-/// Mirrored light, DN of irradiance, on every element whose mesh has a gloss and that faces `eye` (metres, world frame);
-/// 0 elsewhere. `exitance`, DN, is what each element sends out.
+/// Mirrored light, DN of irradiance, on every patch whose mesh has a gloss and that faces `eye` (metres, world frame);
+/// 0 elsewhere. `exitance`, DN, is what each patch sends out.
 pub(super) fn mirrored(
-    elements: &Elements,
+    stage: &Stage,
     eye: Vec3,
     gloss: &[Option<Lobe>],
     exitance: &[[f32; 3]],
 ) -> Vec<[f32; 3]> {
-    (0..elements.len())
+    let Stage { elements, patches, .. } = stage;
+    let met = |element: usize| exitance[patches.of(element)];
+    (0..patches.len())
         .into_par_iter()
-        .map(|e| match gloss[elements.mesh_of(e)] {
-            Some(lobe) => of_element(elements, e, eye, lobe.alpha, exitance),
+        .map(|p| match gloss[patches.mesh_of(p)] {
+            Some(lobe) => {
+                let spots: Vec<usize> = patches.spots(p).collect();
+                let rays = RAYS.div_ceil(spots.len().max(1));
+                let mut mean = [0.0; 3];
+                for &e in &spots {
+                    let light = of_element(elements, e, eye, (lobe.alpha, rays), &met);
+                    (0..3).for_each(|c| mean[c] += light[c] / spots.len() as f32);
+                }
+                mean
+            }
             None => [0.0; 3],
         })
         .collect()
 }
 
-fn of_element(elements: &Elements, e: usize, eye: Vec3, alpha: f32, exitance: &[[f32; 3]]) -> [f32; 3] {
+fn of_element(
+    elements: &Elements,
+    e: usize,
+    eye: Vec3,
+    (alpha, rays): (f32, usize),
+    exitance: &impl Fn(usize) -> [f32; 3],
+) -> [f32; 3] {
     let (normal, centre) = (elements.normal(e), elements.centroid(e));
     let view = (eye - centre).normalize_or_zero();
     let facing = normal.dot(view);
@@ -48,7 +66,7 @@ fn of_element(elements: &Elements, e: usize, eye: Vec3, alpha: f32, exitance: &[
     let (side, other) = normal.any_orthonormal_pair();
     // A shift of its own for every element, so that what one misses another finds.
     let shift = (e as f64 * 0.618_033_988_749_895).fract();
-    for i in 0..RAYS {
+    for i in 0..rays {
         let [u, turn] = KRONECKER.map(|k| ((i as f64 + 0.5) * k + shift).fract() as f32);
         let tilt = ((1.0 - u) / (1.0 + (alpha * alpha - 1.0) * u)).max(0.0).sqrt();
         let (sin, cos) = (TAU * turn).sin_cos();
@@ -65,7 +83,8 @@ fn of_element(elements: &Elements, e: usize, eye: Vec3, alpha: f32, exitance: &[
             continue;
         }
         let share = passed(alpha, facing) * passed(alpha, leaving) * seen / (facing * tilt);
-        (0..3).for_each(|c| sum[c] += share * exitance[met][c] / RAYS as f32);
+        let exitance = exitance(met);
+        (0..3).for_each(|c| sum[c] += share * exitance[c] / rays as f32);
     }
     sum
 }
@@ -73,10 +92,11 @@ fn of_element(elements: &Elements, e: usize, eye: Vec3, alpha: f32, exitance: &[
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::light::Patches;
     use crate::scene::Mesh;
 
     /// Two plates of 2 m at right angles, the first lying, the second standing at x = 1.
-    fn corner() -> Elements {
+    fn corner() -> Stage {
         let quad = |p: [[f32; 3]; 4]| Mesh {
             positions: p.map(Vec3::from).into(),
             triangles: vec![[0, 1, 2], [0, 2, 3]],
@@ -84,18 +104,21 @@ mod tests {
         };
         let lying = quad([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]);
         let standing = quad([[1.0, -9.0, 0.0], [1.0, -9.0, 9.0], [1.0, 9.0, 9.0], [1.0, 9.0, 0.0]]);
-        Elements::build(&[&lying, &standing], &[0.2, 1.0])
+        let elements = Elements::build(&[&lying, &standing], &[0.2, 1.0]);
+        let patches = Patches::single(&elements);
+        Stage { elements, patches, offset: 1e-4 }
     }
 
     #[test]
     fn a_narrow_lobe_mirrors_what_stands_opposite_the_eye_and_nothing_else() {
-        let elements = corner();
+        let stage = corner();
+        let elements = &stage.elements;
         let exitance: Vec<[f32; 3]> = (0..elements.len())
             .map(|e| if elements.mesh_of(e) == 1 { [5.0, 2.0, 1.0] } else { [0.0; 3] })
             .collect();
         let gloss = [Some(Lobe { weight: 0.1, alpha: 0.02 }), None];
-        let opposite = mirrored(&elements, Vec3::new(-3.0, 0.0, 3.0), &gloss, &exitance);
-        let away = mirrored(&elements, Vec3::new(9.0, 0.0, 9.0), &gloss, &exitance);
+        let opposite = mirrored(&stage, Vec3::new(-3.0, 0.0, 3.0), &gloss, &exitance);
+        let away = mirrored(&stage, Vec3::new(9.0, 0.0, 9.0), &gloss, &exitance);
         let lying: Vec<usize> = (0..elements.len()).filter(|&e| elements.mesh_of(e) == 0).collect();
         let mean = lying.iter().map(|&e| opposite[e][0]).sum::<f32>() / lying.len() as f32;
         // GGX has a long tail: some of it misses the plate.

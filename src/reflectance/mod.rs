@@ -23,6 +23,7 @@ pub mod project;
 pub mod range;
 pub mod robust;
 pub mod solve;
+pub mod stage;
 pub mod texture;
 mod uncertainty;
 pub mod unwrap;

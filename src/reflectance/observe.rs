@@ -1,7 +1,8 @@
 //! One view's look at one surface point: what was read there, and what a white surface would have read.
 
+use super::stage::Stage;
 use crate::calibration::FieldFactor;
-use crate::light::{Draw, Elements, Ring, Sight, Spot};
+use crate::light::{Draw, Elements, Ring, SPOTS, Sight, Spot};
 use crate::photometry::Known;
 use crate::scene::Camera;
 use glam::{DAffine3, DVec2, Vec3};
@@ -44,6 +45,33 @@ pub struct Observation {
     pub facing: f32,
     /// Weight of the gloss, of whose mirrored light the reading is still to be freed; 0 where none was found.
     pub gloss: f32,
+}
+
+impl Observation {
+    /// The mean of several looks at one patch; `None` of none.
+    fn mean(looks: &[Self]) -> Option<Self> {
+        let mut sum = *looks.first()?;
+        let n = looks.len() as f32;
+        for o in &looks[1..] {
+            for c in 0..3 {
+                sum.known[c] += o.known[c];
+                sum.variance[c] += o.variance[c];
+                sum.white[c] += o.white[c];
+            }
+            sum.resolution += o.resolution;
+            sum.response += o.response;
+            sum.facing += o.facing;
+        }
+        Some(Self {
+            known: sum.known.map(|v| v / n),
+            variance: sum.variance.map(|v| v / (n * n)),
+            white: sum.white.map(|v| v / n),
+            resolution: sum.resolution / n,
+            response: sum.response / n,
+            facing: sum.facing / n,
+            gloss: sum.gloss,
+        })
+    }
 }
 
 /// A camera and its flash before the scene: what light falls where, before anyone looks at a photograph.
@@ -181,14 +209,19 @@ pub struct View<'a> {
 }
 
 impl View<'_> {
-    /// The view's looks at all elements that it sees, by index, in `direct` light (irradiance per unit radiance).
-    pub fn observe_elements(&self, elements: &Elements, direct: &[f32]) -> Vec<(u32, Observation)> {
-        (0..elements.len())
+    /// The view's looks at all patches of which it sees anything, by index, in `direct` light (irradiance per unit
+    /// radiance at each spot): the mean over those of a patch's spots that it sees.
+    pub fn observe_patches(&self, stage: &Stage, direct: &[[f32; SPOTS]]) -> Vec<(u32, Observation)> {
+        let Stage { elements, patches, .. } = stage;
+        (0..patches.len())
             .into_par_iter()
-            .filter(|&e| elements.normal(e) != Vec3::ZERO)
-            .filter_map(|e| {
-                let look = self.observe(elements.centroid(e), elements.normal(e), direct[e])?;
-                Some((e as u32, look))
+            .filter_map(|p| {
+                let spots = patches.spots(p).zip(direct[p]);
+                let looks: Vec<Observation> = spots
+                    .filter(|(e, _)| elements.normal(*e) != Vec3::ZERO)
+                    .filter_map(|(e, lit)| self.observe(elements.centroid(e), elements.normal(e), lit))
+                    .collect();
+                Some((p as u32, Observation::mean(&looks)?))
             })
             .collect()
     }

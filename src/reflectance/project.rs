@@ -16,7 +16,8 @@
 use super::mirror::mirrored;
 use super::observe::{GRAZING, Illumination};
 use super::robust::Lobe;
-use crate::light::{Draw, Elements, RayKernel, interpolate};
+use super::stage::Stage;
+use crate::light::{Draw, RayKernel, interpolate};
 use crate::photometry::KnownMosaic;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::blocks::dilate;
@@ -68,8 +69,8 @@ pub struct Surroundings<'a> {
     kernel: RayKernel,
     /// (mesh, triangle) of each of the kernel's triangles.
     owners: Vec<(u32, u32)>,
-    elements: &'a Elements,
-    /// Reflectance of the elements, smooth.
+    stage: &'a Stage,
+    /// Reflectance by element corner.
     rho: Vec<[[f32; 3]; 3]>,
     /// Gloss of each mesh, where one was found; its light is `other` light.
     gloss: Vec<Option<Lobe>>,
@@ -77,11 +78,11 @@ pub struct Surroundings<'a> {
 }
 
 impl<'a> Surroundings<'a> {
-    /// Meshes (the object first), the elements made of them with their reflectance and gloss, and the texture's
-    /// side.
+    /// Meshes (the object first), the stage made of them, its patches' reflectance, the meshes' gloss, and the
+    /// texture's side.
     pub fn new(
         meshes: &'a [Mesh],
-        elements: &'a Elements,
+        stage: &'a Stage,
         rho: &[[f32; 3]],
         gloss: &[Option<Lobe>],
         size: usize,
@@ -95,8 +96,8 @@ impl<'a> Surroundings<'a> {
             }
         }
         let kernel = RayKernel::build(corners);
-        let rho = elements.smooth(rho);
-        Some(Self { object, kernel, owners, elements, rho, gloss: gloss.to_vec(), size })
+        let rho = stage.smooth(rho);
+        Some(Self { object, kernel, owners, stage, rho, gloss: gloss.to_vec(), size })
     }
 }
 
@@ -160,7 +161,7 @@ pub struct Projection {
 }
 
 impl Projection {
-    /// Looks through one view. `bounced` is the view's irradiance by bounces, DN, one an element; `known` its light at
+    /// Looks through one view. `bounced` is the view's irradiance by bounces, DN, one a patch; `known` its light at
     /// whatever energy the pulse had. `None` where the object is not in the frame.
     pub fn look(
         around: &Surroundings,
@@ -171,7 +172,7 @@ impl Projection {
     ) -> Result<Option<Self>, Cancelled> {
         let Some(window) = Window::of(light.camera(), around.object) else { return Ok(None) };
         let mirrored = around.mirrored(light, bounced);
-        let bounced = around.elements.smooth(bounced);
+        let bounced = around.stage.smooth(bounced);
         let lit = Lit { direct: light, bounced: &bounced, mirrored: &mirrored };
         let wanted = around.wanted(light, &window, progress)?;
         let rows: Vec<Row> = (0..window.height)
@@ -369,7 +370,7 @@ fn row(around: &Surroundings, lit: &Lit, window: &Window, wanted: &Image<bool>, 
             });
             let unit = share * light.clear(met.point, met.normal);
             let (element, at) =
-                around.elements.locate(met.mesh as usize, met.triangle as usize, met.uv[0], met.uv[1]);
+                around.stage.elements.locate(met.mesh as usize, met.triangle as usize, met.uv[0], met.uv[1]);
             let bounce = interpolate(&bounced[element], at);
             let white: [f32; 3] =
                 std::array::from_fn(|c| ((lamp.radiance[c] * unit + f64::from(bounce[c])) * response) as f32);
@@ -418,19 +419,25 @@ impl Surroundings<'_> {
         if self.gloss.iter().all(Option::is_none) {
             return vec![];
         }
-        let elements = self.elements;
-        let exitance: Vec<[f32; 3]> = (0..elements.len())
+        let (stage, elements) = (self.stage, &self.stage.elements);
+        let exitance: Vec<[f32; 3]> = (0..stage.patches.len())
             .into_par_iter()
-            .map(|e| {
-                let direct = light.direct(elements.centroid(e), elements.normal(e));
-                let gloss = self.gloss[elements.mesh_of(e)].map_or(0.0, |lobe| lobe.weight);
-                std::array::from_fn(|c| {
-                    let rho = self.rho[e].iter().map(|corner| corner[c]).sum::<f32>() / 3.0 + gloss;
-                    rho.clamp(0.0, 1.0) * ((direct * light.lamp().radiance[c]) as f32 + bounced[e][c])
-                })
+            .map(|p| {
+                let mut sum = ([0.0f32; 3], 0.0);
+                let gloss = self.gloss[stage.patches.mesh_of(p)].map_or(0.0, |lobe| lobe.weight);
+                for e in stage.patches.spots(p) {
+                    let direct = light.direct(elements.centroid(e), elements.normal(e));
+                    for c in 0..3 {
+                        let rho = self.rho[e].iter().map(|corner| corner[c]).sum::<f32>() / 3.0 + gloss;
+                        let lit = (direct * light.lamp().radiance[c]) as f32 + bounced[p][c];
+                        sum.0[c] += rho.clamp(0.0, 1.0) * lit;
+                    }
+                    sum.1 += 1.0;
+                }
+                sum.0.map(|s| s / f32::max(sum.1, 1.0))
             })
             .collect();
-        elements.smooth(&mirrored(elements, light.camera().centre().as_vec3(), &self.gloss, &exitance))
+        stage.smooth(&mirrored(stage, light.camera().centre().as_vec3(), &self.gloss, &exitance))
     }
 
     fn meet(&self, camera: &Camera, pixel: DVec2) -> Option<Met> {
@@ -465,7 +472,7 @@ impl Surroundings<'_> {
                         (window.top + y * SEARCH_STEP) as f64,
                     );
                     let towards = lens.distortion.undistort((corner + 0.5 - lens.principal) / lens.focal);
-                    let of_object = |element| self.elements.mesh_of(element as usize) == 0;
+                    let of_object = |element| self.stage.elements.mesh_of(element as usize) == 0;
                     light.sight().shows(towards.extend(1.0), spacing, of_object)
                 };
                 Ok((0..width).map(shows).collect())

@@ -1,4 +1,4 @@
-//! From views to a texture: collects every view's observations of the surface elements, settles the bounces, then
+//! From views to a texture: collects every view's observations of the surface's patches, settles the bounces, then
 //! solves all texels at once against the sensor sites of all views ([`super::joint`]).
 //!
 //! Views are added one at a time, and looked at twice: once for the bounces, once with them.
@@ -6,28 +6,16 @@
 use super::atlas::{AtlasError, TexelPoint, fill, lay_out};
 use super::bounce::{Bounces, Round, ViewLight};
 use super::joint::{Joint, Photo, Run, solve_jointly};
-use super::observe::{Illumination, Lamp, View};
+use super::observe::{Lamp, View};
 use super::project::{Projection, Surroundings};
 use super::solve::Estimate;
+use super::stage::Stage;
 use super::uncertainty::CELL;
-use crate::light::{Elements, Transport, interpolate};
+use crate::light::interpolate;
 use crate::photometry::{FlashGain, Known, KnownMosaic};
 use crate::progress::{Cancelled, Progress};
 use crate::raster::Image;
 use crate::scene::{Camera, Mesh};
-use glam::Vec3;
-use rayon::prelude::*;
-
-/// Longest edge of an element of the object, and of the other meshes, relative to the object's diagonal.
-const OBJECT_EDGE: f32 = 0.02;
-const OTHER_EDGE: f32 = 0.04;
-
-/// Distance by which rays start off the surface, relative to the object's diagonal.
-const OFFSET: f64 = 1e-4;
-
-/// Rays per element for the bounces, and the bound on all of them together (4 bytes each).
-const RAYS: usize = 64;
-const MOST_RAYS: usize = 160_000_000;
 
 /// Standard deviation of the simulated bounced light, relative: what its rays scatter (benches/light.rs: 6 to 10 % at
 /// points, less over a patch).
@@ -73,54 +61,8 @@ pub struct Texture {
     pub gains: Vec<FlashGain>,
     /// Standard deviation of the lens's blur by channel, pixels.
     pub blur: [f32; 3],
-    /// Bounced light and reflectance on the elements.
+    /// Bounced light and reflectance on the patches.
     pub bounces: Bounces,
-}
-
-/// The meshes made ready for light.
-pub struct Stage {
-    /// Surface elements and ray kernel of all meshes.
-    pub elements: Elements,
-    /// Metres by which rays start off a surface.
-    pub offset: f64,
-}
-
-impl Stage {
-    /// Cuts the meshes into elements; the first is the object and sets the scale.
-    pub fn build(meshes: &[Mesh]) -> Self {
-        let diagonal = meshes.first().map_or(1.0, diagonal).max(1e-6);
-        let edges: Vec<f32> =
-            (0..meshes.len()).map(|i| diagonal * if i == 0 { OBJECT_EDGE } else { OTHER_EDGE }).collect();
-        let meshes: Vec<&Mesh> = meshes.iter().collect();
-        Self { elements: Elements::build(&meshes, &edges), offset: OFFSET * f64::from(diagonal) }
-    }
-
-    /// Traces the bounces' transport.
-    pub fn transport(&self, progress: &Progress) -> Result<Transport, Cancelled> {
-        let rays = RAYS.min(MOST_RAYS / self.elements.len().max(1)).max(8);
-        Transport::trace(&self.elements, rays, progress)
-    }
-
-    /// A camera and its flash before this stage.
-    pub fn illuminate<'a>(&'a self, camera: &'a Camera, lamp: &'a Lamp) -> Illumination<'a> {
-        Illumination::new(camera, lamp, &self.elements, self.offset)
-    }
-
-    /// The flash's irradiance per unit radiance on every element: unbiased, from few rays where shadows fall, because
-    /// whoever takes it up (bounces, an element's mean over views) takes the mean of many.
-    pub fn direct(&self, light: &Illumination) -> Vec<f32> {
-        let elements = &self.elements;
-        let of = |e| light.glimpsed(elements.centroid(e), elements.normal(e)) as f32;
-        (0..elements.len()).into_par_iter().map(of).collect()
-    }
-}
-
-fn diagonal(mesh: &Mesh) -> f32 {
-    let (mut low, mut high) = (Vec3::MAX, Vec3::MIN);
-    for p in mesh.positions.iter().filter(|p| p.is_finite()) {
-        (low, high) = (low.min(*p), high.max(*p));
-    }
-    if low.x <= high.x { (high - low).length() } else { 0.0 }
 }
 
 /// Collects views for the bounces.
@@ -140,7 +82,7 @@ impl<'a> Solver<'a> {
         Ok(Self { meshes, stage, size, points, lights: vec![] })
     }
 
-    /// Adds a view's observations of the elements.
+    /// Adds a view's observations of the patches.
     pub fn add(
         &mut self,
         camera: &Camera,
@@ -148,14 +90,13 @@ impl<'a> Solver<'a> {
         lamp: &Lamp,
         progress: &Progress,
     ) -> Result<(), Cancelled> {
-        let elements = &self.stage.elements;
         progress.check()?;
         let light = self.stage.illuminate(camera, lamp);
         let view = View { illumination: &light, known };
         progress.check()?;
-        let direct = self.stage.direct(&light);
+        let spots = self.stage.direct_at_spots(&light);
         progress.check()?;
-        let seen = view.observe_elements(elements, &direct);
+        let (direct, seen) = (self.stage.mean(&spots), view.observe_patches(self.stage, &spots));
         self.lights.push(ViewLight { eye: camera.centre().as_vec3(), direct, radiance: lamp.radiance, seen });
         Ok(())
     }
@@ -165,14 +106,13 @@ impl<'a> Solver<'a> {
         if self
             .lights
             .iter()
-            .all(|v| v.seen.iter().all(|(e, _)| self.stage.elements.mesh_of(*e as usize) != 0))
+            .all(|v| v.seen.iter().all(|(p, _)| self.stage.patches.mesh_of(*p as usize) != 0))
         {
             return Err(TextureError::Unseen);
         }
-        let elements = &self.stage.elements;
         let transport = self.stage.transport(progress)?;
-        let bounces = Bounces::settle(elements, &transport, &self.lights, progress)?;
-        let around = Surroundings::new(self.meshes, elements, &bounces.rho, &bounces.gloss, self.size)
+        let bounces = Bounces::settle(self.stage, &transport, &self.lights, progress)?;
+        let around = Surroundings::new(self.meshes, self.stage, &bounces.rho, &bounces.gloss, self.size)
             .ok_or(TextureError::Unseen)?;
         Ok(Settled {
             stage: self.stage,
@@ -232,7 +172,7 @@ impl Settled<'_> {
             filled.pixels_mut()[at] = Some(rho);
             if spoken[at] && cell.views > 0 {
                 let (element, _) = elements.locate(0, p.triangle as usize, p.u, p.v);
-                let share = self.bounces.shares[element];
+                let share = self.bounces.shares[self.stage.patches.of(element)];
                 let sd = std::array::from_fn(|c| {
                     cell.sd[c].hypot(scale_error * rho[c]).hypot(BOUNCE_ERROR * share[c] * rho[c])
                 });
@@ -249,10 +189,10 @@ impl Settled<'_> {
         Ok(Texture { estimates, filled, residual, surface, rounds, runs, gains, blur, bounces: self.bounces })
     }
 
-    /// The elements' reflectance at every texel.
+    /// The patches' reflectance at every texel.
     fn start(&self) -> Vec<[f32; 3]> {
         let elements = &self.stage.elements;
-        let corners = elements.smooth(&self.bounces.rho);
+        let corners = self.stage.smooth(&self.bounces.rho);
         let mut start = Image::filled(self.size, self.size, None);
         for p in &self.points {
             let (element, at) = elements.locate(0, p.triangle as usize, p.u, p.v);

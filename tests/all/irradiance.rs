@@ -35,7 +35,7 @@ fn agrees(scene: &Scene, camera: usize) {
     let direct = stage.direct(&light);
     for (name, rho, materials) in scene.materials(&stage) {
         let bounced = simulate(&transport, &direct, lamp.radiance, &rho, &progress).unwrap();
-        let corners = stage.elements.smooth(&bounced);
+        let corners = stage.smooth(&bounced);
         let shade = |s: &Spot| {
             let unit = light.at_spot(s) as f32;
             Some(interpolate(&corners[s.element], s.at).map(|b| b + unit))

@@ -13,7 +13,7 @@ use crate::raster::Rgb;
 use crate::reflectance::bounce::{Bounces, ViewLight, simulate};
 use crate::reflectance::maps::view_maps;
 use crate::reflectance::observe::{Lamp, View};
-use crate::reflectance::texture::Stage;
+use crate::reflectance::stage::Stage;
 use crate::scene::Camera;
 use crate::studio::world::lab::{self, Lab, Setting, Shot};
 
@@ -43,8 +43,8 @@ pub(super) fn gi(options: Options, progress: &Progress) -> Result<Outcome, Exper
         let looks = looks(&stored, bits)?;
         let chosen: Vec<&Look> =
             if options.quick { looks.iter().step_by(2).collect() } else { looks.iter().collect() };
-        let white = vec![[1.0; 3]; stage.elements.len()];
-        let none = vec![[0.0; 3]; stage.elements.len()];
+        let white = vec![[1.0; 3]; stage.patches.len()];
+        let none = vec![[0.0; 3]; stage.patches.len()];
         let shared = estimate(&stage, &transport, &chosen, progress)?;
         let mut rows: Vec<Row> = vec![];
         for (name, rho, thesis) in [
@@ -96,21 +96,20 @@ fn looks(stored: &[(Camera, Shot)], bits: u32) -> Result<Vec<Look>, ExperimentEr
     Ok(looks)
 }
 
-/// Reflectance of the surface elements as these views give it, bounces simulated again and again with it.
+/// Reflectance of the surface's patches as these views give it, bounces simulated again and again with it.
 fn estimate(
     stage: &Stage,
     transport: &Transport,
     looks: &[&Look],
     progress: &Progress,
 ) -> Result<Vec<[f32; 3]>, ExperimentError> {
-    let elements = &stage.elements;
     let mut views = vec![];
     for look in looks {
         progress.check()?;
         let light = stage.illuminate(&look.camera, &look.lamp);
         let view = View { illumination: &light, known: &look.known };
-        let direct = stage.direct(&light);
-        let seen = view.observe_elements(elements, &direct);
+        let spots = stage.direct_at_spots(&light);
+        let (direct, seen) = (stage.mean(&spots), view.observe_patches(stage, &spots));
         views.push(ViewLight {
             eye: look.camera.centre().as_vec3(),
             direct,
@@ -118,7 +117,7 @@ fn estimate(
             seen,
         });
     }
-    Ok(Bounces::settle(elements, transport, &views, progress)?.rho)
+    Ok(Bounces::settle(stage, transport, &views, progress)?.rho)
 }
 
 fn errors(
@@ -145,7 +144,7 @@ fn add_errors(
 ) -> Result<(), ExperimentError> {
     let light = stage.illuminate(&look.camera, &look.lamp);
     let bounced = simulate(transport, &stage.direct(&light), look.lamp.radiance, rho, progress)?;
-    let white: Rgb = view_maps(&light, &look.known, &stage.elements, &bounced, progress)?.white;
+    let white: Rgb = view_maps(&light, &look.known, stage, &bounced, progress)?.white;
     errors.add_reflectance(&look.shot, &look.known, &white);
     Ok(())
 }

@@ -10,7 +10,7 @@ use crate::light::Ring;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
 use crate::reflectance::observe::{Illumination, Lamp};
-use crate::reflectance::texture::Stage;
+use crate::reflectance::stage::Stage;
 use crate::scene::Camera;
 use crate::studio::world::lab::{self, Lab, Setting, Shot};
 use glam::{DAffine3, DVec2};

@@ -1,0 +1,97 @@
+//! The meshes made ready for light: surface elements, patches, and a camera with its flash before them.
+
+use super::observe::{Illumination, Lamp};
+use crate::light::{Elements, Patches, SPOTS, Transport};
+use crate::progress::{Cancelled, Progress};
+use crate::scene::{Camera, Mesh};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Longest edge of an element of the object, and of the other meshes, relative to the object's diagonal.
+const OBJECT_EDGE: f32 = 0.01;
+const OTHER_EDGE: f32 = 0.04;
+
+/// Largest patch of the object, and of the other meshes, likewise.
+const OBJECT_PATCH: f32 = 0.012;
+const OTHER_PATCH: f32 = 0.08;
+
+/// Distance by which rays start off the surface, relative to the object's diagonal.
+const OFFSET: f64 = 1e-4;
+
+/// Rays per patch for the bounces, and the bound on all of them together (4 bytes each).
+const RAYS: usize = 256;
+const MOST_RAYS: usize = 40_000_000;
+
+/// The meshes made ready for light.
+pub struct Stage {
+    /// Surface elements and ray kernel of all meshes.
+    pub elements: Elements,
+    /// Groups of elements that share bounced light.
+    pub patches: Patches,
+    /// Metres by which rays start off a surface.
+    pub offset: f64,
+}
+
+impl Stage {
+    /// Cuts the meshes into elements and groups these; the first mesh is the object and sets the scale.
+    pub fn build(meshes: &[Mesh]) -> Self {
+        let diagonal = meshes.first().map_or(1.0, diagonal).max(1e-6);
+        let sizes = |object: f32, other: f32| -> Vec<f32> {
+            (0..meshes.len()).map(|i| diagonal * if i == 0 { object } else { other }).collect()
+        };
+        let elements = Elements::build(&meshes.iter().collect::<Vec<_>>(), &sizes(OBJECT_EDGE, OTHER_EDGE));
+        let patches = Patches::build(&elements, &sizes(OBJECT_PATCH, OTHER_PATCH));
+        Self { elements, patches, offset: OFFSET * f64::from(diagonal) }
+    }
+
+    /// Traces the bounces' transport.
+    pub fn transport(&self, progress: &Progress) -> Result<Transport, Cancelled> {
+        let rays = RAYS.min(MOST_RAYS / self.patches.len().max(1)).max(8);
+        Transport::trace(&self.elements, &self.patches, rays, progress)
+    }
+
+    /// A camera and its flash before this stage.
+    pub fn illuminate<'a>(&'a self, camera: &'a Camera, lamp: &'a Lamp) -> Illumination<'a> {
+        Illumination::new(camera, lamp, &self.elements, self.offset)
+    }
+
+    /// The flash's irradiance per unit radiance on every patch: unbiased, from few rays where shadows fall, because
+    /// whoever takes it up (bounces, a patch's mean over views) takes the mean of many.
+    pub fn direct(&self, light: &Illumination) -> Vec<f32> {
+        self.mean(&self.direct_at_spots(light))
+    }
+
+    /// The same at each of the patches' spots, in their order.
+    pub fn direct_at_spots(&self, light: &Illumination) -> Vec<[f32; SPOTS]> {
+        let of = |p| {
+            let mut lit = [0.0; SPOTS];
+            for (lit, e) in lit.iter_mut().zip(self.patches.spots(p)) {
+                *lit = light.glimpsed(self.elements.centroid(e), self.elements.normal(e)) as f32;
+            }
+            lit
+        };
+        (0..self.patches.len()).into_par_iter().map(of).collect()
+    }
+
+    /// From one value a spot to one a patch.
+    pub fn mean(&self, spots: &[[f32; SPOTS]]) -> Vec<f32> {
+        let mean = |(p, lit): (usize, &[f32; SPOTS])| {
+            let count = self.patches.spots(p).count().max(1);
+            lit[..count].iter().sum::<f32>() / count as f32
+        };
+        spots.iter().enumerate().map(mean).collect()
+    }
+
+    /// From one value a patch to one a corner of each element.
+    pub fn smooth(&self, values: &[[f32; 3]]) -> Vec<[[f32; 3]; 3]> {
+        self.patches.smooth(&self.elements, values)
+    }
+}
+
+fn diagonal(mesh: &Mesh) -> f32 {
+    let (mut low, mut high) = (Vec3::MAX, Vec3::MIN);
+    for p in mesh.positions.iter().filter(|p| p.is_finite()) {
+        (low, high) = (low.min(*p), high.max(*p));
+    }
+    if low.x <= high.x { (high - low).length() } else { 0.0 }
+}
