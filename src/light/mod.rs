@@ -17,6 +17,5 @@ pub use film::{Finish, Spot, expose};
 pub use kernel::{Hit, RayKernel};
 pub use patches::{Patches, SPOTS};
 pub use ring::{Draw, Ring, RingError};
-pub use ring::{Ring, RingError};
 pub use sight::Sight;
 pub use transport::Transport;
