@@ -47,35 +47,38 @@ fn main() {
     }
 }
 
-/// Cost of one view's direct map against pixels and triangles.
+/// Cost of direct maps against views, pixels and triangles: a million pixels should cost the same throughout.
 fn growth(scene: &Scene) {
-    let camera = &scene.cameras[scene.cameras.len() / 3];
+    println!("    views     pixels  elements |  tree | sight and maps | CPU-s a million pixels");
     let mut meshes = scene.meshes.clone();
-    for (pixels, refined) in [(0.5, 0), (1.0, 0), (2.0, 0), (1.0, 1)] {
-        if refined > 0 {
+    for (views, pixels, refined) in
+        [(1, 1.0, false), (3, 1.0, false), (9, 1.0, false), (3, 0.5, false), (3, 2.0, false), (3, 1.0, true)]
+    {
+        if refined {
             meshes = meshes.iter().map(halved).collect();
         }
         let begun = cpu_seconds();
         let stage = Stage::build(&meshes);
         let built = cpu_seconds();
-        let mut camera = camera.clone();
-        let lens = &mut camera.intrinsics;
-        let scaled = |n: usize| (n as f64 * pixels) as usize;
-        (lens.width, lens.height) = (scaled(lens.width), scaled(lens.height));
-        (lens.focal, lens.principal) = (lens.focal * pixels, lens.principal * pixels);
-        let lamp = scene.lamp();
-        let light = stage.illuminate(&camera, &lamp);
-        let looked = cpu_seconds();
-        let shade = |s: &Spot| Some([light.glimpsed(s.point, s.normal) as f32; 3]);
-        let _ = expose(&camera, &stage.elements, light.sight(), Finish::Fast, shade, &Progress::silent());
+        let mut seen = 0;
+        for k in 0..views {
+            let mut camera = scene.cameras[(3 * k + 1) * scene.cameras.len() / (3 * views)].clone();
+            let lens = &mut camera.intrinsics;
+            let scaled = |n: usize| (n as f64 * pixels) as usize;
+            (lens.width, lens.height) = (scaled(lens.width), scaled(lens.height));
+            (lens.focal, lens.principal) = (lens.focal * pixels, lens.principal * pixels);
+            seen += lens.width * lens.height;
+            let lamp = scene.lamp();
+            let light = stage.illuminate(&camera, &lamp);
+            let shade = |s: &Spot| Some([light.at_spot(s) as f32; 3]);
+            let _ = expose(&camera, &stage.elements, light.sight(), Finish::Fast, shade, &Progress::silent());
+        }
+        let cost = cpu_seconds() - built;
         println!(
-            "    {:>4} x {:<4} {:>7} elements: built in {:.2}, sight {:.2}, direct map {:.2} CPU-s",
-            camera.intrinsics.width,
-            camera.intrinsics.height,
+            "    {views:>5} {seen:>10} {:>9} | {:>5.2} | {cost:>14.2} | {:>6.2}",
             stage.elements.len(),
             built - begun,
-            looked - built,
-            cpu_seconds() - looked
+            cost / seen as f64 * 1e6
         );
     }
 }
@@ -101,7 +104,7 @@ fn run(scene: &Scene, stride: usize) {
         println!("  camera {}", camera.name);
         let lamp = scene.lamp();
         let light = timed("the view's free sight", || stage.illuminate(camera, &lamp));
-        let shade = |s: &Spot| (s.facing > 0.0).then(|| [light.glimpsed(s.point, s.normal) as f32, 0.0, 0.0]);
+        let shade = |s: &Spot| (s.facing > 0.0).then(|| [light.at_spot(s) as f32, 0.0, 0.0]);
         let maps = [Finish::Fast, Finish::Fine].map(|finish| {
             timed(&format!("direct map, {finish:?}"), || {
                 expose(camera, &stage.elements, light.sight(), finish, shade, &Progress::silent()).unwrap()
@@ -130,7 +133,7 @@ fn run(scene: &Scene, stride: usize) {
             let corners = timed("smoothed", || stage.smooth(&bounced));
             let shade = |s: &Spot| {
                 let b = interpolate(&corners[s.element], s.at);
-                (s.facing > 0.0).then(|| b.map(|b| b + light.glimpsed(s.point, s.normal) as f32))
+                (s.facing > 0.0).then(|| b.map(|b| b + light.at_spot(s) as f32))
             };
             let maps = [Finish::Fast, Finish::Fine].map(|finish| {
                 timed(&format!("map with bounces, {finish:?}"), || {

@@ -4,12 +4,17 @@
 //! in even light; where the eight neighbours tell of anything else (another surface, a shadow's edge, a change
 //! of slope), samples all over the pixel take its place. (Adaptive supersampling: Whitted, "An improved
 //! illumination model for shaded display", 1980.)
+//!
+//! A pixel and its neighbours that lie in one plane need no rays of the camera for it. If light also changes evenly
+//! over them, as in a wide half-shadow, the mean of their centres is the pixel's mean, and what one of them has missed
+//! of the lamp others have found. (Keller and Heidrich, "Interleaved Sampling", 2001.) That blurs by a
+//! pixel at the most, and is left to the fast finish.
 
-use super::{Elements, Sight};
+use super::{Draw, Elements, Sight};
 use crate::progress::{Cancelled, Progress};
 use crate::raster::Image;
 use crate::scene::Camera;
-use glam::{DVec2, Vec3};
+use glam::{DVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
 /// How exact a pixel's mean is made where it shows more than one smooth piece of surface.
@@ -25,7 +30,7 @@ impl Finish {
     /// Samples for a pixel that differs from its neighbours by `contrast`, relative to the larger.
     fn samples(self, contrast: f32) -> u32 {
         let (even, mild, some, many) = match self {
-            Self::Fast => (0.1, 0.3, 4, 12),
+            Self::Fast => (0.12, 0.3, 4, 12),
             Self::Fine => (0.05, 0.2, 16, 64),
         };
         match contrast {
@@ -35,6 +40,18 @@ impl Finish {
         }
     }
 }
+
+/// Lamp points asked at each sample, and at a pixel's centre, where they also tell whether there is half-shadow.
+const DRAW: u32 = 2;
+const FIRST_DRAW: u32 = 4;
+
+/// A pixel shows one plane if its neighbours' normals part from its own by no more than this (cosine), and their points
+/// from its plane by no more than so many pixels' widths.
+const ONE_SLOPE: f32 = 0.998;
+const FLAT: f32 = 0.25;
+
+/// Light changes evenly over a plane if it does so by no more than this from one pixel to the next, relative.
+const STEEP: f32 = 0.12;
 
 /// Rows between two looks at the cancel flag, and that share their neighbours.
 const TILE: usize = 16;
@@ -52,6 +69,8 @@ pub struct Spot {
     pub at: [f32; 2],
     /// Cosine between the normal and the direction to the camera; negative when seen from behind.
     pub facing: f32,
+    /// The lamp's points that this spot's light is to be asked of.
+    pub draw: Draw,
 }
 
 /// Means over the pixels of `camera` of what `shade` gives; `None` where any sample of a pixel meets nothing or
@@ -65,56 +84,183 @@ pub fn expose(
     progress: &Progress,
 ) -> Result<Image<Option<[f32; 3]>>, Cancelled> {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let eye = camera.centre().as_vec3();
-    let see = |ray: Vec3, element: usize, depth: f32, at: [f32; 2]| {
-        let normal = elements.normal(element);
-        let facing = -normal.dot(ray) / ray.length();
-        shade(&Spot { point: eye + ray * depth, normal, element, at, facing })
-    };
-    let sample = |pixel: DVec2| {
-        let ray = camera.ray(pixel).as_vec3();
-        let hit = elements.kernel().nearest(eye, ray, 0.0, f32::INFINITY)?;
-        see(ray, hit.triangle as usize, hit.t, [hit.u, hit.v])
-    };
-    let centre = |x: usize, y: usize| {
-        let pixel = DVec2::new(x as f64, y as f64) + 0.5;
-        let Some(met) = sight.met(x, y) else { return sample(pixel) };
-        let (element, depth) = met?;
-        let ray = camera.ray(pixel).as_vec3();
-        see(ray, element as usize, depth, elements.place(element as usize, eye + ray * depth))
-    };
-    let mut centres: Vec<Option<[f32; 3]>> = vec![None; width * height];
+    let film = Film { camera, elements, eye: camera.centre().as_vec3(), shade };
+    let mut centres = vec![Centre::default(); width * height];
     centres.par_chunks_mut((width * TILE).max(1)).enumerate().try_for_each(|(tile, chunk)| {
         progress.check()?;
-        for (i, value) in chunk.iter_mut().enumerate() {
-            let (x, y) = (i % width, tile * TILE + i / width);
-            *value = centre(x, y);
+        for (i, centre) in chunk.iter_mut().enumerate() {
+            *centre = film.centre(sight, (i % width, tile * TILE + i / width));
         }
         Ok(())
     })?;
-    let mut means = centres.clone();
+    let mut means = vec![None; width * height];
     means.par_chunks_mut((width * TILE).max(1)).enumerate().try_for_each(|(tile, chunk)| {
         progress.check()?;
         for (i, value) in chunk.iter_mut().enumerate() {
-            let (x, y) = (i % width, tile * TILE + i / width);
-            let samples = finish.samples(contrast(&centres, (width, height), (x, y)));
-            if samples > 1 {
-                *value = over_square(sample, (x, y), samples);
-            }
+            let round = Round::of(&centres, (width, height), (i % width, tile * TILE + i / width));
+            *value = match finish.samples(round.contrast()) {
+                1 => round.own.value,
+                samples => {
+                    let plane = Plane::round(&film, &round);
+                    let even = if finish == Finish::Fast && plane.is_some() { round.even() } else { None };
+                    even.or_else(|| film.mean(&round, plane, samples))
+                }
+            };
         }
         Ok(())
     })?;
     Ok(Image::from_fn(width, height, |x, y| means[y * width + x]))
 }
 
-/// The largest difference between a pixel and its eight neighbours, relative to the larger; endless between something
-/// and nothing.
-fn contrast(values: &[Option<[f32; 3]>], (width, height): (usize, usize), (x, y): (usize, usize)) -> f32 {
-    let own = values[y * width + x];
-    let mut most = 0.0f32;
-    for v in y.saturating_sub(1)..(y + 2).min(height) {
-        for u in x.saturating_sub(1)..(x + 2).min(width) {
-            match (own, values[v * width + u]) {
+/// What the ray through a pixel's centre met, element and depth, and its value.
+#[derive(Clone, Copy, Default)]
+struct Centre {
+    met: Option<(u32, f32)>,
+    value: Option<[f32; 3]>,
+}
+
+/// A pixel's centre and those of the pixels round it.
+struct Round {
+    pixel: (usize, usize),
+    own: Centre,
+    /// With where they lie from the pixel.
+    near: [Option<([f32; 2], Centre)>; 8],
+}
+
+struct Film<'a, S> {
+    camera: &'a Camera,
+    elements: &'a Elements,
+    eye: Vec3,
+    shade: S,
+}
+
+impl<S: Fn(&Spot) -> Option<[f32; 3]>> Film<'_, S> {
+    fn ray(&self, pixel: DVec2) -> Vec3 {
+        self.camera.ray(pixel).as_vec3()
+    }
+
+    fn centre(&self, sight: &Sight, (x, y): (usize, usize)) -> Centre {
+        let ray = self.ray(DVec2::new(x as f64, y as f64) + 0.5);
+        let draw = Draw::of_pixel((x, y), 0, FIRST_DRAW);
+        let met = sight.met(x, y).unwrap_or_else(|| {
+            let hit = self.elements.kernel().nearest(self.eye, ray, 0.0, f32::INFINITY)?;
+            Some((hit.triangle, hit.t))
+        });
+        let value = met.and_then(|(element, depth)| {
+            let (element, point) = (element as usize, self.eye + ray * depth);
+            self.see(ray, element, depth, self.elements.place(element, point), draw)
+        });
+        Centre { met, value }
+    }
+
+    fn see(&self, ray: Vec3, element: usize, depth: f32, at: [f32; 2], draw: Draw) -> Option<[f32; 3]> {
+        let normal = self.elements.normal(element);
+        let facing = -normal.dot(ray) / ray.length();
+        (self.shade)(&Spot { point: self.eye + ray * depth, normal, element, at, facing, draw })
+    }
+
+    fn mean(&self, round: &Round, plane: Option<Plane>, count: u32) -> Option<[f32; 3]> {
+        let (x, y) = round.pixel;
+        let corner = DVec2::new(x as f64, y as f64);
+        let mut sum = [0.0; 3];
+        for k in 0..count {
+            // Hammersley's points, every one in a row and a column of its own.
+            let inside = DVec2::new(
+                (f64::from(k) + 0.5) / f64::from(count),
+                f64::from(k.reverse_bits()) / 2f64.powi(32) + 0.5 / f64::from(count),
+            );
+            let draw = Draw::of_pixel(round.pixel, k * DRAW, DRAW);
+            let value = match &plane {
+                Some(plane) => {
+                    let (ray, depth) = plane.at(inside.as_vec2() - 0.5);
+                    self.see(ray, plane.element, depth, plane.place, draw)
+                }
+                None => {
+                    let ray = self.ray(corner + inside);
+                    let hit = self.elements.kernel().nearest(self.eye, ray, 0.0, f32::INFINITY)?;
+                    self.see(ray, hit.triangle as usize, hit.t, [hit.u, hit.v], draw)
+                }
+            }?;
+            for (s, v) in sum.iter_mut().zip(value) {
+                *s += v / count as f32;
+            }
+        }
+        Some(sum)
+    }
+}
+
+/// The one plane that a pixel and its neighbours show.
+struct Plane {
+    element: usize,
+    place: [f32; 2],
+    /// Ray through the pixel's centre, and its change a column and a row.
+    rays: [Vec3; 3],
+    /// Inverse depth likewise.
+    inverse: [f32; 3],
+}
+
+impl Plane {
+    fn round<S: Fn(&Spot) -> Option<[f32; 3]>>(film: &Film<S>, round: &Round) -> Option<Self> {
+        let (element, depth) = round.own.met?;
+        let element = element as usize;
+        let normal = film.elements.normal(element);
+        let centre = DVec2::new(round.pixel.0 as f64, round.pixel.1 as f64) + 0.5;
+        let ray = film.ray(centre);
+        let rays = [ray, film.ray(centre + DVec2::X) - ray, film.ray(centre + DVec2::Y) - ray];
+        let facing = normal.dot(ray);
+        let inverse = rays.map(|ray| normal.dot(ray) / (facing * depth));
+        let flat = FLAT * depth * rays[1].length() * ray.length() / facing.abs();
+        for near in round.near {
+            let ([dx, dy], Centre { met, .. }) = near?;
+            let (other, t) = met?;
+            let off = t * t * (inverse[0] + inverse[1] * dx + inverse[2] * dy) - t;
+            let near = off.abs() <= flat;
+            if !near || film.elements.normal(other as usize).dot(normal) < ONE_SLOPE {
+                return None;
+            }
+        }
+        let place = film.elements.place(element, film.eye + ray * depth);
+        inverse.iter().all(|i| i.is_finite()).then_some(Self { element, place, rays, inverse })
+    }
+
+    /// Ray and depth at an offset from the pixel's centre.
+    fn at(&self, off: Vec2) -> (Vec3, f32) {
+        let ray = self.rays[0] + self.rays[1] * off.x + self.rays[2] * off.y;
+        (ray, 1.0 / (self.inverse[0] + self.inverse[1] * off.x + self.inverse[2] * off.y))
+    }
+}
+
+impl Round {
+    fn of(centres: &[Centre], (width, height): (usize, usize), (x, y): (usize, usize)) -> Self {
+        let around = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
+        let near = around.map(|(dx, dy)| {
+            let (u, v) = (x.checked_add_signed(dx)?, y.checked_add_signed(dy)?);
+            (u < width && v < height).then(|| ([dx as f32, dy as f32], centres[v * width + u]))
+        });
+        Self { pixel: (x, y), own: centres[y * width + x], near }
+    }
+
+    /// The mean of the pixel and its neighbours, which is the pixel's own where light changes evenly; `None` where it
+    /// does not.
+    fn even(&self) -> Option<[f32; 3]> {
+        let (mut sum, mut across, mut down) = (self.own.value?, 0.0, 0.0);
+        for near in self.near {
+            let ([dx, dy], Centre { value, .. }) = near?;
+            let value = value?;
+            (0..3).for_each(|c| sum[c] += value[c]);
+            across += dx * value[0];
+            down += dy * value[0];
+        }
+        let mean = sum.map(|s| s / 9.0);
+        (across.abs().max(down.abs()) / 6.0 <= STEEP * mean[0]).then_some(mean)
+    }
+
+    /// The largest difference between the pixel and its neighbours, relative to the larger; endless between something
+    /// and nothing.
+    fn contrast(&self) -> f32 {
+        let mut most = 0.0f32;
+        for (_, near) in self.near.iter().flatten() {
+            match (self.own.value, near.value) {
                 (Some(a), Some(b)) => {
                     for (a, b) in a.into_iter().zip(b).filter(|(a, b)| a != b) {
                         most = most.max((a - b).abs() / a.max(b));
@@ -124,28 +270,8 @@ fn contrast(values: &[Option<[f32; 3]>], (width, height): (usize, usize), (x, y)
                 _ => return f32::INFINITY,
             }
         }
+        most
     }
-    most
-}
-
-fn over_square(
-    sample: impl Fn(DVec2) -> Option<[f32; 3]>,
-    (x, y): (usize, usize),
-    count: u32,
-) -> Option<[f32; 3]> {
-    let mut sum = [0.0; 3];
-    for k in 0..count {
-        // Hammersley's points, every one in a row and a column of its own.
-        let inside = DVec2::new(
-            (f64::from(k) + 0.5) / f64::from(count),
-            f64::from(k.reverse_bits()) / 2f64.powi(32) + 0.5 / f64::from(count),
-        );
-        let value = sample(DVec2::new(x as f64, y as f64) + inside)?;
-        for (s, v) in sum.iter_mut().zip(value) {
-            *s += v / count as f32;
-        }
-    }
-    Some(sum)
 }
 
 #[cfg(test)]

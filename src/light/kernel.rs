@@ -1,15 +1,7 @@
 //! The ray kernel: a set of triangles, the nearest one along a ray, and whether anything is in the way.
-//!
-//! The hierarchy is obvhs's compressed wide tree; the triangle test is the watertight one of Woop, Benthin
-//! and Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1), 2013, because a ray that slips through an
-//! edge is light that was never there.
 
-use glam::{Vec3, Vec3A, Vec3Swizzles};
-use obvhs::BvhBuildParams;
-use obvhs::cwbvh::{CwBvh, builder::build_cwbvh_from_tris};
-use obvhs::ray::{Ray, RayHit};
-use obvhs::triangle::Triangle;
-use std::time::Duration;
+use super::tree::Tree;
+use glam::Vec3;
 
 /// Where a ray met a triangle: point = (1 - u - v) * v0 + u * v1 + v * v2.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,24 +19,14 @@ pub struct Hit {
 /// Triangles in a bounding volume hierarchy. Both sides of a triangle stop a ray.
 pub struct RayKernel {
     corners: Vec<[Vec3; 3]>,
-    tree: Option<CwBvh>,
+    tree: Option<Tree>,
 }
 
 impl RayKernel {
     /// Builds the hierarchy over triangles given by their corners in metres, world frame.
     /// Triangles with a corner that is not finite are never hit.
     pub fn build(triangles: Vec<[Vec3; 3]>) -> Self {
-        let primitives: Vec<Triangle> = triangles
-            .iter()
-            .map(|t| {
-                let t = if t.iter().all(|c| c.is_finite()) { *t } else { [Vec3::ZERO; 3] };
-                Triangle { v0: t[0].into(), v1: t[1].into(), v2: t[2].into() }
-            })
-            .collect();
-        let tree = (!primitives.is_empty()).then(|| {
-            build_cwbvh_from_tris(&primitives, BvhBuildParams::slow_build(), &mut Duration::default())
-        });
-        Self { corners: triangles, tree }
+        Self { tree: Tree::build(&triangles), corners: triangles }
     }
 
     /// Corners of the triangle with this index.
@@ -54,91 +36,12 @@ impl RayKernel {
 
     /// The nearest triangle with `t_min < t < t_max`, `t` in lengths of `direction`.
     pub fn nearest(&self, origin: Vec3, direction: Vec3, t_min: f32, t_max: f32) -> Option<Hit> {
-        let tree = self.tree.as_ref()?;
-        let shear = Shear::new(direction)?;
-        let ray = Ray::new(origin.into(), direction.into(), t_min, t_max);
-        let mut found = RayHit::none();
-        let mut best = None::<Hit>;
-        tree.ray_traverse(ray, &mut found, |ray, slot| {
-            let triangle = tree.primitive_indices[slot];
-            match shear.intersect(ray.origin, &self.corners[triangle as usize]) {
-                Some((t, u, v)) if t > t_min && t < ray.tmax => {
-                    best = Some(Hit { triangle, t, u, v });
-                    t
-                }
-                _ => f32::INFINITY,
-            }
-        });
-        best
+        self.tree.as_ref()?.nearest(origin, direction, t_min, t_max)
     }
 
     /// Whether any triangle lies at `t_min < t < t_max`.
     pub fn occluded(&self, origin: Vec3, direction: Vec3, t_min: f32, t_max: f32) -> bool {
-        let (Some(tree), Some(shear)) = (self.tree.as_ref(), Shear::new(direction)) else { return false };
-        let ray = Ray::new(origin.into(), direction.into(), t_min, t_max);
-        !tree.ray_traverse_miss(ray, |ray, slot| {
-            match shear.intersect(ray.origin, &self.corners[tree.primitive_indices[slot] as usize]) {
-                Some((t, _, _)) if t > t_min && t < t_max => t,
-                _ => f32::INFINITY,
-            }
-        })
-    }
-}
-
-/// The ray's own coordinates: its dominant axis last, sheared so that the ray runs along it.
-struct Shear {
-    dominant: usize,
-    shear: [f32; 3],
-}
-
-impl Shear {
-    fn new(direction: Vec3) -> Option<Self> {
-        if !direction.is_finite() || direction == Vec3::ZERO {
-            return None;
-        }
-        let dominant = direction.abs().max_position();
-        let d = turned(direction, dominant);
-        Some(Self { dominant, shear: [d.x / d.z, d.y / d.z, 1.0 / d.z] })
-    }
-
-    fn intersect(&self, origin: Vec3A, triangle: &[Vec3; 3]) -> Option<(f32, f32, f32)> {
-        let [sx, sy, sz] = self.shear;
-        let origin = Vec3::from(origin);
-        let [a, b, c] = triangle.map(|corner| turned(corner - origin, self.dominant));
-        let (ka, kb, kc) = (a.z, b.z, c.z);
-        let flat = |p: Vec3| (p.x - sx * p.z, p.y - sy * p.z);
-        let ((x0, y0), (x1, y1), (x2, y2)) = (flat(a), flat(b), flat(c));
-        let mut u = x2 * y1 - y2 * x1;
-        let mut v = x0 * y2 - y0 * x2;
-        let mut w = x1 * y0 - y1 * x0;
-        if u == 0.0 || v == 0.0 || w == 0.0 {
-            // On an edge: the sign decides between two neighbours, so it is taken exactly.
-            let cross = |p: f32, q: f32, r: f32, s: f32| {
-                (f64::from(p) * f64::from(q) - f64::from(r) * f64::from(s)) as f32
-            };
-            u = cross(x2, y1, y2, x1);
-            v = cross(x0, y2, y0, x2);
-            w = cross(x1, y0, y1, x0);
-        }
-        if (u < 0.0 || v < 0.0 || w < 0.0) && (u > 0.0 || v > 0.0 || w > 0.0) {
-            return None;
-        }
-        let determinant = u + v + w;
-        if determinant == 0.0 {
-            return None;
-        }
-        let t = (u * ka + v * kb + w * kc) * sz / determinant;
-        Some((t, v / determinant, w / determinant))
-    }
-}
-
-/// The axes in cyclic order with `last` last. A ray towards its negative end sees triangles mirrored, which is one
-/// to a test that takes both sides.
-fn turned(p: Vec3, last: usize) -> Vec3 {
-    match last {
-        0 => p.yzx(),
-        1 => p.zxy(),
-        _ => p,
+        self.tree.as_ref().is_some_and(|tree| tree.occluded(origin, direction, t_min, t_max))
     }
 }
 
@@ -185,5 +88,48 @@ mod tests {
         assert!(!kernel.occluded(Vec3::ZERO, forward, 2.1, 9.0));
         assert!(kernel.occluded(Vec3::ZERO, forward, 0.0, 2.1));
         assert!(!kernel.occluded(Vec3::ZERO, Vec3::NAN, 0.0, 9.0));
+    }
+
+    #[test]
+    fn the_tree_finds_what_a_look_at_every_triangle_finds() {
+        let number = |k: u32| (f64::from(k) * 0.754_877_666_246_693).fract() as f32 - 0.5;
+        let place = |k: u32| Vec3::new(number(k), number(k + 7919), number(k + 104_729));
+        let triangle = |i: u32| [1, 2, 3].map(|c| place(9 * i) * 2.0 + place(9 * i + c) * 0.4);
+        let soup: Vec<_> = (0..500).map(triangle).collect();
+        let kernel = RayKernel::build(soup.clone());
+        let each: Vec<_> = soup.iter().map(|t| RayKernel::build(vec![*t])).collect();
+        let mut met = 0;
+        for k in 0..400u32 {
+            let (origin, way) = (place(31 * k + 5), place(17 * k + 2));
+            let alone = each.iter().filter_map(|kernel| kernel.nearest(origin, way, 0.1, 3.0));
+            let want = alone.map(|hit| hit.t).min_by(f32::total_cmp);
+            let found = kernel.nearest(origin, way, 0.1, 3.0);
+            assert_eq!(found.map(|hit| hit.t), want);
+            let owner = found.and_then(|hit| each[hit.triangle as usize].nearest(origin, way, 0.1, 3.0));
+            assert_eq!(owner.map(|hit| [hit.t, hit.u, hit.v]), found.map(|hit| [hit.t, hit.u, hit.v]));
+            assert_eq!(kernel.occluded(origin, way, 0.1, 3.0), want.is_some());
+            met += i32::from(want.is_some());
+        }
+        assert!(met > 100, "{met}");
+    }
+
+    #[test]
+    fn triangles_that_are_not_finite_are_never_hit_and_the_others_keep_their_numbers() {
+        let [a, b, c] = *quad().corners(0);
+        let kernel = RayKernel::build(vec![[Vec3::NAN, b, c], [a, b, c]]);
+        assert_eq!(kernel.nearest(Vec3::ZERO, (a + b + c) / 3.0, 0.0, 9.0).unwrap().triangle, 1);
+        assert!(
+            RayKernel::build(vec![[Vec3::INFINITY, b, c]]).nearest(Vec3::ZERO, Vec3::Z, 0.0, 9.0).is_none()
+        );
+        assert!(!RayKernel::build(vec![]).occluded(Vec3::ZERO, Vec3::Z, 0.0, 9.0));
+    }
+
+    #[test]
+    fn a_thousand_triangles_in_one_place_are_no_trouble() {
+        let [a, b, c] = *quad().corners(0);
+        let kernel = RayKernel::build(vec![[a, b, c]; 1000]);
+        let centre = (a + b + c) / 3.0;
+        assert!(kernel.occluded(Vec3::ZERO, centre, 0.0, 2.0));
+        assert!((kernel.nearest(Vec3::ZERO, centre, 0.0, 2.0).unwrap().t - 1.0).abs() < 1e-6);
     }
 }

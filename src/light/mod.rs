@@ -1,5 +1,6 @@
 //! Light: the ray kernel, lamps, direct light, its mean over a camera's pixels, and the transport of bounces.
 
+mod depth;
 mod elements;
 mod emitter;
 mod film;
@@ -8,12 +9,13 @@ mod patches;
 mod ring;
 mod sight;
 mod transport;
+mod tree;
 
 pub use elements::{Elements, interpolate};
 pub use emitter::{Emitter, EmitterError, Shape};
 pub use film::{Finish, Spot, expose};
 pub use kernel::{Hit, RayKernel};
 pub use patches::{Patches, SPOTS};
-pub use ring::{Ring, RingError};
+pub use ring::{Draw, Ring, RingError};
 pub use sight::Sight;
 pub use transport::Transport;

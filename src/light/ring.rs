@@ -22,6 +22,7 @@ use super::RayKernel;
 use glam::{DVec2, DVec3, Vec3, Vec3Swizzles};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
+use std::sync::LazyLock;
 
 /// Points on the rims that are tried first: if all of them see the element, the ring is taken as unshadowed. A
 /// straight edge that eight points on the outer rim miss hides less than 1 % of the disc.
@@ -34,6 +35,29 @@ const SECTORS: usize = 12;
 
 /// Points that a glimpse takes.
 const GLIMPSE: u32 = 4;
+
+/// Points of the sum that takes over where the horizon cuts the ring.
+const FINE: usize = 256;
+
+/// Points of the lamp that one of several looks at much the same place takes, so that all looks together take an even
+/// spread of them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Draw {
+    /// 0..1, of the place's own: what one place's points miss another's find.
+    pub(super) seed: [f32; 2],
+    /// Number of the first point in the place's series.
+    pub(super) first: u32,
+    /// How many.
+    pub(super) count: u32,
+}
+
+impl Draw {
+    /// `count` points for a look at a pixel of an image, the `first` of which is the pixel's own first-th.
+    pub fn of_pixel((x, y): (usize, usize), first: u32, count: u32) -> Self {
+        let p = Vec3::new(x as f32 + 0.5, y as f32 + 0.5, 1.0);
+        Self { seed: [scrambled(p), scrambled(p.zxy())], first, count }
+    }
+}
 
 /// Inner and outer radius in metres of an annulus round the lens, in the plane z = 0 of the camera frame,
 /// shining one-sidedly towards +z.
@@ -78,9 +102,9 @@ impl Ring {
             normal.dot(flux).max(0.0)
         } else {
             // The horizon cuts the ring.
-            const FINE: usize = 256;
             let area = PI * (self.outer * self.outer - self.inner * self.inner);
-            (0..FINE).map(|i| form(self.point(i, FINE), point, normal)).sum::<f64>() * area / FINE as f64
+            let lamps = PLACES.fine.iter().map(|place| self.at(place, DVec2::X));
+            lamps.map(|lamp| form(lamp, point, normal)).sum::<f64>() * area / FINE as f64
         }
     }
 
@@ -101,24 +125,19 @@ impl Ring {
         let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
         let element = Element { kernel, world_from_camera, point, normal, start };
         // A turn of its own for every point: what one point's samples miss another's find, and no bands appear.
-        let turn = f64::from(scrambled(element.start));
-        let at = |radius: f64, angle: f64| (radius * DVec2::from_angle(TAU * (angle + turn))).extend(0.0);
-        let mut rims = (0..OUTER_PROBES)
-            .map(|i| at(self.outer, i as f64 / OUTER_PROBES as f64))
-            .chain((0..INNER_PROBES).map(|i| at(self.inner, (i as f64 + 0.5) / INNER_PROBES as f64)))
+        let turn = DVec2::from_angle(TAU * f64::from(scrambled(element.start)));
+        let places = &*PLACES;
+        let mut rims = places
+            .rims
+            .iter()
+            .map(|place| self.at(place, turn))
             .filter(|&lamp| element.share(lamp) > 0.0)
             .peekable();
         // Rims that are all below the horizon tell nothing.
         if rims.peek().is_some() && rims.all(|lamp| element.sees(lamp)) {
             return clear;
         }
-        let points = (0..CIRCLES * SECTORS).map(|i| {
-            let (circle, sector) = (i % CIRCLES, i / CIRCLES);
-            let part = (circle as f64 + 0.5) / CIRCLES as f64;
-            let slant = circle as f64 / CIRCLES as f64;
-            at(self.radius(part), (sector as f64 + slant) / SECTORS as f64)
-        });
-        clear * element.lit(points, self.outer)
+        clear * element.lit(places.spread.iter().map(|place| self.at(place, turn)), self.outer)
     }
 
     /// The same by the share of four points of the ring alone that see the element, for whoever takes the mean over
@@ -131,34 +150,115 @@ impl Ring {
         normal: DVec3,
         offset: f64,
     ) -> f64 {
+        let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
+        let seed = [scrambled(start), scrambled(start.zxy())];
+        let draw = Draw { seed, first: 0, count: GLIMPSE };
+        self.drawn_irradiance(kernel, world_from_camera, point, normal, offset, draw)
+    }
+
+    /// The same by the points of a draw, for whoever looks several times at one place.
+    pub fn drawn_irradiance(
+        &self,
+        kernel: &RayKernel,
+        world_from_camera: &glam::DAffine3,
+        point: DVec3,
+        normal: DVec3,
+        offset: f64,
+        draw: Draw,
+    ) -> f64 {
         let clear = self.irradiance(point, normal);
-        if clear <= 0.0 {
-            return 0.0;
+        if clear > 0.0 {
+            clear * self.drawn_share(kernel, world_from_camera, point, normal, offset, draw)
+        } else {
+            0.0
         }
+    }
+
+    /// Share of [`Self::irradiance`] that shadows leave, by the points of a draw.
+    pub fn drawn_share(
+        &self,
+        kernel: &RayKernel,
+        world_from_camera: &glam::DAffine3,
+        point: DVec3,
+        normal: DVec3,
+        offset: f64,
+        draw: Draw,
+    ) -> f64 {
         let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
         let element = Element { kernel, world_from_camera, point, normal, start };
-        let (turn, slide) = (f64::from(scrambled(element.start)), f64::from(scrambled(element.start.zxy())));
-        let points = (0..GLIMPSE).map(|i| {
-            let part = (f64::from(i) * 0.618_033_988_749_895 + slide).fract();
-            let angle = TAU * (f64::from(i) / f64::from(GLIMPSE) + turn);
-            (self.radius(part) * DVec2::from_angle(angle)).extend(0.0)
+        let turn = DVec2::from_angle(TAU * f64::from(draw.seed[1]));
+        let slide = f64::from(draw.seed[0]);
+        let points = (draw.first..draw.first + draw.count).map(|i| {
+            let place = PLACES.even[i as usize % FINE];
+            self.at(&Place { share: (slide + place.share).fract(), ..place }, turn)
         });
-        clear * element.lit(points, self.outer)
+        element.lit(points, self.outer)
     }
 
-    /// Radius inside which this share of the ring's area lies.
-    fn radius(&self, share: f64) -> f64 {
-        (self.inner * self.inner * (1.0 - share) + self.outer * self.outer * share).sqrt()
+    /// A place on the ring, turned round its axis: camera frame, metres.
+    fn at(&self, place: &Place, turn: DVec2) -> DVec3 {
+        let square = self.inner * self.inner * (1.0 - place.share) + self.outer * self.outer * place.share;
+        (square.sqrt() * turn.rotate(place.direction)).extend(0.0)
+    }
+}
+
+/// A place on any ring: the share of the area that lies farther in, and a unit vector.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    share: f64,
+    direction: DVec2,
+}
+
+impl Place {
+    /// At an angle in turns.
+    fn new(share: f64, angle: f64) -> Self {
+        Self { share, direction: DVec2::from_angle(TAU * angle) }
     }
 
-    /// The i-th of `n` equal-area points, camera frame, metres; any run of them is spread over the ring: the
-    /// angle goes on by the golden section, the share of the area by halving what is left.
-    fn point(&self, i: usize, n: usize) -> DVec3 {
+    /// The i-th of `n` that stand for equal areas; any run of them is spread over the ring: the angle goes on by the
+    /// golden section, the share of the area by halving what is left.
+    fn spread(i: usize, n: usize) -> Self {
         let halving = f64::from((i as u32).reverse_bits()) / 2f64.powi(32);
         let share = halving + 0.5 / n.next_power_of_two() as f64;
-        let angle = TAU * (i as f64 * 0.618_033_988_749_895).fract();
-        (self.radius(share) * DVec2::from_angle(angle)).extend(0.0)
+        Self::new(share, (i as f64 * 0.618_033_988_749_895).fract())
     }
+}
+
+/// All places that sums and shadow rays take, for their sines are dear.
+struct Places {
+    fine: Vec<Place>,
+    rims: Vec<Place>,
+    spread: Vec<Place>,
+    even: Vec<Place>,
+}
+
+static PLACES: LazyLock<Places> = LazyLock::new(|| {
+    let outer = (0..OUTER_PROBES).map(|i| Place::new(1.0, i as f64 / OUTER_PROBES as f64));
+    let inner = (0..INNER_PROBES).map(|i| Place::new(0.0, (i as f64 + 0.5) / INNER_PROBES as f64));
+    let spread = (0..CIRCLES * SECTORS).map(|i| {
+        let (circle, sector) = (i % CIRCLES, i / CIRCLES);
+        let slant = circle as f64 / CIRCLES as f64;
+        Place::new((circle as f64 + 0.5) / CIRCLES as f64, (sector as f64 + slant) / SECTORS as f64)
+    });
+    // Halton's sequence: any run of it is even, and every second place lies opposite the one before it.
+    let even = (0..FINE as u32).map(|i| Place::new(mirrored(i, 3), mirrored(i, 2)));
+    Places {
+        fine: (0..FINE).map(|i| Place::spread(i, FINE)).collect(),
+        rims: outer.chain(inner).collect(),
+        spread: spread.collect(),
+        even: even.collect(),
+    }
+});
+
+/// The digits of `i` to a base behind the point, the last first.
+fn mirrored(mut i: u32, base: u32) -> f64 {
+    let (mut value, mut place) = (0.0, 1.0);
+    while i > 0 {
+        place /= f64::from(base);
+        value += place * f64::from(i % base);
+        i /= base;
+    }
+    value
 }
 
 /// An element under the lamp, camera frame, and where its shadow rays start, world frame.
@@ -243,7 +343,8 @@ mod tests {
     fn summed(ring: &Ring, point: DVec3, normal: DVec3) -> f64 {
         let n = 400_000;
         let area = PI * (ring.outer.powi(2) - ring.inner.powi(2));
-        (0..n).map(|i| form(ring.point(i, n), point, normal)).sum::<f64>() * area / n as f64
+        (0..n).map(|i| form(ring.at(&Place::spread(i, n), DVec2::X), point, normal)).sum::<f64>() * area
+            / n as f64
     }
 
     #[test]
@@ -316,6 +417,25 @@ mod tests {
             let hidden = std::iter::once(DVec3::new(-0.05, 0.0, 0.0));
             assert_eq!(element.lit(hidden, ring.outer), lit);
         }
+    }
+
+    #[test]
+    fn the_draws_of_one_pixel_together_tell_the_share_of_a_half_shadow() {
+        let ring = Ring::new(0.035, 0.085).unwrap();
+        let wall = [[0.0, -9.0], [9.0, -9.0], [9.0, 9.0], [0.0, 9.0]].map(|[x, y]| Vec3::new(x, y, 0.2));
+        let kernel = RayKernel::build(vec![[wall[0], wall[1], wall[2]], [wall[0], wall[2], wall[3]]]);
+        let mut mean = 0.0;
+        for pixel in (0..100).map(|i| (i % 10, i / 10)) {
+            let share = |k: u32| {
+                let draw = Draw::of_pixel(pixel, 8 * k, 8);
+                let (point, world) = (DVec3::new(0.0, 0.0, 0.8), glam::DAffine3::IDENTITY);
+                ring.drawn_share(&kernel, &world, point, -DVec3::Z, 1e-4, draw)
+            };
+            let whole = (0..4).map(share).sum::<f64>() / 4.0;
+            assert!((whole - 0.5).abs() < 0.08, "{whole} in {pixel:?}");
+            mean += whole / 100.0;
+        }
+        assert!((mean - 0.5).abs() < 0.005, "{mean}");
     }
 
     #[test]

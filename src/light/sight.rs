@@ -12,6 +12,7 @@
 //! The same depth map tells where one surface ends before another.
 
 use super::RayKernel;
+use super::depth::{Grid, first_seen};
 use crate::raster::Image;
 use crate::scene::{Camera, Distortion};
 use glam::{DVec2, DVec3, Vec3};
@@ -61,20 +62,12 @@ impl Sight {
     /// Looks through `camera` at the kernel's triangles, whose normals are `normals`; the lamp's outer radius is
     /// `reach`, metres.
     pub fn look(kernel: &RayKernel, normals: &[Vec3], camera: &Camera, reach: f64) -> Self {
-        let map = Map::of(camera, reach);
-        let origin = camera.centre().as_vec3();
+        let (map, first_pixel) = map_of(camera, reach);
         let local = |i: usize| {
             let at = DVec2::new((i % map.width) as f64, (i / map.width) as f64) + 0.5;
             ((at - map.axis) / map.focal).extend(1.0)
         };
-        let met: Vec<Option<(u32, f32)>> = (0..map.width * map.height)
-            .into_par_iter()
-            .map(|i| {
-                let ray = camera.world_from_camera.transform_vector3(local(i)).as_vec3();
-                let hit = kernel.nearest(origin, ray, 0.0, f32::INFINITY)?;
-                Some((hit.triangle, hit.t))
-            })
-            .collect();
+        let met = first_seen(kernel, normals.len(), &camera.world_from_camera.inverse(), &map);
         let inverse = Image::from_fn(map.width, map.height, |x, y| {
             met[y * map.width + x].map_or(0.0, |(_, depth)| 1.0 / depth)
         });
@@ -96,7 +89,7 @@ impl Sight {
             edge: edges(&hits, &map),
             steepest: f64::from(STEEPEST * fall),
             met: Image::from_fn(map.width, map.height, |x, y| met[y * map.width + x]),
-            first_pixel: map.first_pixel,
+            first_pixel,
         }
     }
 
@@ -105,6 +98,16 @@ impl Sight {
     pub fn met(&self, x: usize, y: usize) -> Option<Option<(u32, f32)>> {
         let (left, top) = self.first_pixel?;
         self.met.get((x + left) as isize, (y + top) as isize).copied()
+    }
+
+    /// Whether a triangle that fulfils `test` is seen towards a direction (camera frame, z > 0), or beside it if the
+    /// map's points lie farther apart than `spacing` (units of x/z).
+    pub fn shows(&self, direction: DVec3, spacing: f64, test: impl Fn(u32) -> bool) -> bool {
+        let reach = if self.focal * spacing >= 1.0 { 0 } else { 1 };
+        let p = direction.truncate() / direction.z * self.focal + self.axis;
+        let (x, y) = (p.x.floor() as isize, p.y.floor() as isize);
+        let mut round = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (x + dx, y + dy)));
+        round.any(|(u, v)| matches!(self.met.get(u, v), Some(Some((triangle, _))) if test(*triangle)))
     }
 
     /// Whether nothing stands between a surface point with unit normal (camera frame, metres) and the lamp's
@@ -130,42 +133,33 @@ impl Sight {
     }
 }
 
-/// An undistorted pinhole image that covers the camera's frame and what may shadow it from outside.
-struct Map {
-    focal: f64,
-    axis: DVec2,
-    width: usize,
-    height: usize,
-    first_pixel: Option<(usize, usize)>,
-}
-
-impl Map {
-    fn of(camera: &Camera, reach: f64) -> Self {
-        let lens = &camera.intrinsics;
-        let (w, h) = (lens.width as f64, lens.height as f64);
-        let (mut low, mut high) = (DVec2::MAX, DVec2::MIN);
-        for k in 0..=8 {
-            let t = f64::from(k) / 8.0;
-            for pixel in
-                [DVec2::new(t * w, 0.0), DVec2::new(t * w, h), DVec2::new(0.0, t * h), DVec2::new(w, t * h)]
-            {
-                let p = lens.distortion.undistort((pixel - lens.principal) / lens.focal);
-                (low, high) = (low.min(p), high.max(p));
-            }
+/// An undistorted pinhole image that covers the camera's frame and what may shadow it from outside; and the map point
+/// of the camera's first pixel, where the points are its pixels.
+fn map_of(camera: &Camera, reach: f64) -> (Grid, Option<(usize, usize)>) {
+    let lens = &camera.intrinsics;
+    let (w, h) = (lens.width as f64, lens.height as f64);
+    let (mut low, mut high) = (DVec2::MAX, DVec2::MIN);
+    for k in 0..=8 {
+        let t = f64::from(k) / 8.0;
+        for pixel in
+            [DVec2::new(t * w, 0.0), DVec2::new(t * w, h), DVec2::new(0.0, t * h), DVec2::new(w, t * h)]
+        {
+            let p = lens.distortion.undistort((pixel - lens.principal) / lens.focal);
+            (low, high) = (low.min(p), high.max(p));
         }
-        // Parallax of an occluder that halves the way to a point one metre off.
-        (low, high) = (low - reach, high + reach);
-        let size = high - low;
-        let most = (MOST_POINTS as f64 / (size.x * size.y)).sqrt();
-        let focal = lens.focal.min_element().min(most);
-        let pinhole = lens.distortion == Distortion::default() && lens.focal == DVec2::splat(focal);
-        // A pinhole's own pixels, so that their rays serve twice.
-        let margin = (-low * focal - lens.principal).ceil();
-        let axis = if pinhole { lens.principal + margin } else { -low * focal };
-        let extent = (axis + high * focal).ceil().max(DVec2::ONE);
-        let first_pixel = pinhole.then_some((margin.x as usize, margin.y as usize));
-        Self { focal, axis, width: extent.x as usize, height: extent.y as usize, first_pixel }
     }
+    // Parallax of an occluder that halves the way to a point one metre off.
+    (low, high) = (low - reach, high + reach);
+    let size = high - low;
+    let most = (MOST_POINTS as f64 / (size.x * size.y)).sqrt();
+    let focal = lens.focal.min_element().min(most);
+    let pinhole = lens.distortion == Distortion::default() && lens.focal == DVec2::splat(focal);
+    // A pinhole's own pixels, so that their rays serve twice.
+    let margin = (-low * focal - lens.principal).ceil();
+    let axis = if pinhole { lens.principal + margin } else { -low * focal };
+    let extent = (axis + high * focal).ceil().max(DVec2::ONE);
+    let first_pixel = pinhole.then_some((margin.x as usize, margin.y as usize));
+    (Grid { focal, axis, width: extent.x as usize, height: extent.y as usize }, first_pixel)
 }
 
 /// Largest of each point's 3x3 neighbourhood, then dilated by a cone that falls by `fall` a point.
@@ -200,7 +194,7 @@ fn dilate(inverse: Image<f32>, fall: f32) -> Image<f32> {
 }
 
 /// Points within [`EDGE_RADIUS`] of a step between two surfaces.
-fn edges(hits: &[Option<(DVec3, DVec3)>], map: &Map) -> Image<bool> {
+fn edges(hits: &[Option<(DVec3, DVec3)>], map: &Grid) -> Image<bool> {
     let step = |a: usize, b: usize| match (hits[a], hits[b]) {
         (Some((p, n)), Some((q, m))) => {
             let allowed = EDGE_STEP * p.length() / map.focal;

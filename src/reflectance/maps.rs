@@ -50,7 +50,7 @@ pub fn view_maps(
     let (camera, lamp) = (light.camera(), light.lamp());
     let shade = |spot: &Spot| {
         (f64::from(spot.facing) > GRAZING).then(|| {
-            let unit = light.glimpsed(spot.point, spot.normal);
+            let unit = light.at_spot(spot);
             let bounce = interpolate(&corners[spot.element], spot.at);
             std::array::from_fn(|c| (lamp.radiance[c] * unit) as f32 + bounce[c])
         })

@@ -2,7 +2,7 @@
 
 use super::stage::Stage;
 use crate::calibration::FieldFactor;
-use crate::light::{Elements, Ring, SPOTS, Sight};
+use crate::light::{Draw, Elements, Ring, SPOTS, Sight, Spot};
 use crate::photometry::Known;
 use crate::scene::Camera;
 use glam::{DAffine3, DVec2, Vec3};
@@ -142,21 +142,47 @@ impl<'a> Illumination<'a> {
         )
     }
 
+    /// The same at one of the spots over which a pixel's mean is taken.
+    pub fn at_spot(&self, spot: &Spot) -> f64 {
+        let local = self.camera_from_world.transform_point3(spot.point.as_dvec3());
+        let facing = self.camera_from_world.transform_vector3(spot.normal.as_dvec3());
+        if self.sight.is_free(local, facing) {
+            return self.lamp.ring.irradiance(local, facing);
+        }
+        let world_from_camera = &self.camera.world_from_camera;
+        self.lamp.ring.drawn_irradiance(
+            self.elements.kernel(),
+            world_from_camera,
+            local,
+            facing,
+            self.offset,
+            spot.draw,
+        )
+    }
+
     /// Ring irradiance per unit radiance at a point with unit normal (world frame) with nothing in the way.
     pub fn clear(&self, point: Vec3, normal: Vec3) -> f64 {
         let local = self.camera_from_world.transform_point3(point.as_dvec3());
         self.lamp.ring.irradiance(local, self.camera_from_world.transform_vector3(normal.as_dvec3()))
     }
 
-    /// Share of [`Self::clear`] that shadows leave at a point with unit normal (world frame).
-    pub fn lit_share(&self, point: Vec3, normal: Vec3) -> f64 {
+    /// Share of [`Self::clear`] that shadows leave at a point with unit normal (world frame), by the lamp's points of a
+    /// draw.
+    pub fn drawn_share(&self, point: Vec3, normal: Vec3, draw: Draw) -> f64 {
         let local = self.camera_from_world.transform_point3(point.as_dvec3());
         let facing = self.camera_from_world.transform_vector3(normal.as_dvec3());
         if self.sight.is_free(local, facing) {
             return 1.0;
         }
-        let clear = self.lamp.ring.irradiance(local, facing);
-        if clear > 0.0 { self.direct(point, normal) / clear } else { 0.0 }
+        let world_from_camera = &self.camera.world_from_camera;
+        self.lamp.ring.drawn_share(
+            self.elements.kernel(),
+            world_from_camera,
+            local,
+            facing,
+            self.offset,
+            draw,
+        )
     }
 
     /// Whether the camera sees a point with unit normal (world frame), and whether beside an occlusion edge.

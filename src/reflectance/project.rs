@@ -18,7 +18,7 @@ use super::observe::{GRAZING, Illumination};
 use super::projection::{Projection, Ray, Site, WIDEST_BLUR, Window};
 use super::robust::Lobe;
 use super::stage::Stage;
-use crate::light::{RayKernel, interpolate};
+use crate::light::{Draw, RayKernel, interpolate};
 use crate::photometry::KnownMosaic;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::Image;
@@ -37,7 +37,10 @@ pub(super) const GRID: usize = 2;
 const ONE_FACE: f32 = 0.95;
 const ONE_PLACE: f32 = 4.0;
 
-/// Step of the rays that look for the object first, pixels; what lies within a step and the blur's reach of it counts.
+/// Points of the lamp that each ray's surface asks, where it may lie in shadow; a pixel's rays ask different ones.
+const LAMP_POINTS: u32 = 8;
+
+/// Step of the search for the object, pixels; what lies within a step and the blur's reach of it counts.
 const SEARCH_STEP: usize = 2;
 
 /// By how much texture coordinates may leave the unit square by rounding.
@@ -68,18 +71,41 @@ pub struct Surroundings<'a> {
     gloss: Vec<Option<Lobe>>,
     size: usize,
     /// Which of the object's triangles the texture holds; `None`: all of them.
-    held: Option<Vec<bool>>,
+    held: Option<Held>,
+}
+
+/// Triangles of the object that the texture holds, and their elements among all.
+struct Held {
+    triangles: Vec<bool>,
+    elements: Vec<bool>,
 }
 
 impl<'a> Surroundings<'a> {
-    /// From now on only these triangles of the object are looked at as texture, and the others as one looks at other
-    /// meshes; `None`: all of them.
-    pub fn hold(&mut self, triangles: Option<Vec<bool>>) {
-        self.held = triangles;
+    /// From now on only triangles of the object with such a patch (`patches[p]`) are looked at as texture, and the others
+    /// as one looks at other meshes; `None`: all of them.
+    pub fn hold(&mut self, patches: Option<&[bool]>) {
+        let stage = self.stage;
+        self.held = patches.map(|patches| {
+            let elements = |t: usize| stage.elements.of_triangle(0, t);
+            let triangles: Vec<bool> = (0..stage.elements.triangles(0))
+                .map(|t| elements(t).any(|e| patches[stage.patches.of(e)]))
+                .collect();
+            let mut held = vec![false; stage.elements.len()];
+            let all = triangles.iter().enumerate().filter(|(_, held)| **held);
+            all.flat_map(|(t, _)| elements(t)).for_each(|e| held[e] = true);
+            Held { triangles, elements: held }
+        });
+    }
+
+    fn holds_element(&self, element: usize) -> bool {
+        match &self.held {
+            Some(held) => held.elements[element],
+            None => self.stage.elements.mesh_of(element) == 0,
+        }
     }
 
     fn holds(&self, mesh: u32, triangle: u32) -> bool {
-        mesh == 0 && self.held.as_ref().is_none_or(|held| held[triangle as usize])
+        mesh == 0 && self.held.as_ref().is_none_or(|held| held.triangles[triangle as usize])
     }
 
     /// Meshes (the object first), the stage made of them, its patches' reflectance, the meshes' gloss, and the
@@ -114,7 +140,7 @@ impl Window {
         let held: Box<dyn Iterator<Item = Vec3>> = match &around.held {
             None => Box::new(object.positions.iter().copied()),
             Some(held) => {
-                let triangles = (0..object.triangles.len()).filter(|&t| held[t]);
+                let triangles = (0..object.triangles.len()).filter(|&t| held.triangles[t]);
                 Box::new(triangles.flat_map(|t| object.corners(t)))
             }
         };
@@ -148,7 +174,7 @@ impl Projection {
         let mirrored = around.mirrored(light, bounced);
         let bounced = around.stage.smooth(bounced);
         let lit = Lit { direct: light, bounced: &bounced, mirrored: &mirrored };
-        let wanted = around.wanted(light.camera(), &window, progress)?;
+        let wanted = around.wanted(light, &window, progress)?;
         let rows: Vec<Row> = (0..window.height)
             .into_par_iter()
             .map(|y| {
@@ -216,13 +242,17 @@ fn row(around: &Surroundings, lit: &Lit, window: &Window, wanted: &Image<bool>, 
             let inside = (DVec2::new((k % GRID) as f64, (k / GRID) as f64) + 0.5) / GRID as f64;
             around.meet(camera, corner + inside)
         });
-        let shared = shared_share(light, &met);
-        for met in met {
+        let pixel = (window.left + x, window.top + y);
+        let shared = shared_share(light, &met, pixel);
+        for (k, met) in met.into_iter().enumerate() {
             let Some(met) = met else {
                 out.unknown[x] += one;
                 continue;
             };
-            let share = shared.unwrap_or_else(|| light.lit_share(met.point, met.normal));
+            let share = shared.unwrap_or_else(|| {
+                let draw = Draw::of_pixel(pixel, k as u32 * LAMP_POINTS, LAMP_POINTS);
+                light.drawn_share(met.point, met.normal, draw)
+            });
             let unit = share * light.clear(met.point, met.normal);
             let (element, at) =
                 around.stage.elements.locate(met.mesh as usize, met.triangle as usize, met.uv[0], met.uv[1]);
@@ -314,24 +344,27 @@ impl Surroundings<'_> {
     /// Pixels of the window that show the object or may do so through the lens's blur.
     fn wanted(
         &self,
-        camera: &Camera,
+        light: &Illumination,
         window: &Window,
         progress: &Progress,
     ) -> Result<Image<bool>, Cancelled> {
         let (width, height) = (window.width.div_ceil(SEARCH_STEP), window.height.div_ceil(SEARCH_STEP));
+        let lens = &light.camera().intrinsics;
+        let spacing = SEARCH_STEP as f64 / lens.focal.max_element();
         let rows: Vec<Vec<bool>> = (0..height)
             .into_par_iter()
             .map(|y| {
                 progress.check()?;
-                let place = |x: usize| {
-                    DVec2::new(
-                        (window.left + x * SEARCH_STEP) as f64 + 0.5,
-                        (window.top + y * SEARCH_STEP) as f64 + 0.5,
-                    )
+                let shows = |x: usize| {
+                    let corner = DVec2::new(
+                        (window.left + x * SEARCH_STEP) as f64,
+                        (window.top + y * SEARCH_STEP) as f64,
+                    );
+                    let towards = lens.distortion.undistort((corner + 0.5 - lens.principal) / lens.focal);
+                    let of_object = |element| self.holds_element(element as usize);
+                    light.sight().shows(towards.extend(1.0), spacing, of_object)
                 };
-                Ok((0..width)
-                    .map(|x| self.meet(camera, place(x)).is_some_and(|m| self.holds(m.mesh, m.triangle)))
-                    .collect())
+                Ok((0..width).map(shows).collect())
             })
             .collect::<Result<_, Cancelled>>()?;
         let found = Image::from_fn(width, height, |x, y| rows[y][x]);
@@ -341,7 +374,11 @@ impl Surroundings<'_> {
 }
 
 /// The share of light that shadows leave to all rays of a pixel, if they meet one surface in one place.
-fn shared_share(light: &Illumination, met: &[Option<Met>; GRID * GRID]) -> Option<f64> {
+fn shared_share(
+    light: &Illumination,
+    met: &[Option<Met>; GRID * GRID],
+    pixel: (usize, usize),
+) -> Option<f64> {
     let first = met[0]?;
     let (mut point, mut normal) = (Vec3::ZERO, Vec3::ZERO);
     for m in met {
@@ -356,7 +393,8 @@ fn shared_share(light: &Illumination, met: &[Option<Met>; GRID * GRID]) -> Optio
         point += m.point / met.len() as f32;
         normal += m.normal;
     }
-    Some(light.lit_share(point, normal.normalize_or_zero()))
+    let draw = Draw::of_pixel(pixel, 0, LAMP_POINTS * met.len() as u32);
+    Some(light.drawn_share(point, normal.normalize_or_zero(), draw))
 }
 
 /// Upper left of the four texels round a point of the object's surface, and where between them.

@@ -253,13 +253,8 @@ impl Settled<'_> {
     /// Begins a piece; then those of its views are added that it needs.
     pub fn begin(&mut self, piece: usize) {
         self.photos.clear();
-        let elements = &self.stage.elements;
-        let held = (self.pieces.len() > 1).then(|| {
-            let held = &self.pieces[piece].held;
-            let shows = |e: usize| held[self.stage.patches.of(e)];
-            (0..elements.triangles(0)).map(|t| elements.of_triangle(0, t).any(shows)).collect()
-        });
-        self.around.hold(held);
+        let alone = self.pieces.len() == 1;
+        self.around.hold((!alone).then_some(self.pieces[piece].held.as_slice()));
     }
 
     /// Adds a view's sensor sites to the piece at hand; `index` is its place in the order of [`Solver::add`], `gain` its

@@ -24,7 +24,7 @@ fn agrees(scene: &Scene, camera: usize) {
     let (stage, camera, lamp) = (scene.stage(), &scene.cameras[camera], scene.lamp());
     let light = stage.illuminate(camera, &lamp);
     let progress = Progress::silent();
-    let shade = |s: &Spot| Some([light.glimpsed(s.point, s.normal) as f32; 3]);
+    let shade = |s: &Spot| Some([light.at_spot(s) as f32; 3]);
     let map = expose(camera, &stage.elements, light.sight(), Finish::Fine, shade, &progress).unwrap();
     let reference = scene.direct_reference(camera, STRIDE);
     let straight =
@@ -37,7 +37,7 @@ fn agrees(scene: &Scene, camera: usize) {
         let bounced = simulate(&transport, &direct, lamp.radiance, &rho, &progress).unwrap();
         let corners = stage.smooth(&bounced);
         let shade = |s: &Spot| {
-            let unit = light.glimpsed(s.point, s.normal) as f32;
+            let unit = light.at_spot(s) as f32;
             Some(interpolate(&corners[s.element], s.at).map(|b| b + unit))
         };
         let map = expose(camera, &stage.elements, light.sight(), Finish::Fine, shade, &progress).unwrap();
