@@ -1,6 +1,6 @@
 //! A photograph as a linear function of the texture, and the transpose of it: what [`super::project`] makes.
 //!
-//! The texture's texels are numbered by a [`Ground`]: only those that some view speaks of, in rows, so that what is
+//! The texture's texels are numbered by a `Ground`: only those that some view speaks of, in rows, so that what is
 //! solved for is as long as what is seen, however large the texture is.
 
 use super::project::{GRID, Sample};

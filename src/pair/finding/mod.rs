@@ -25,6 +25,10 @@ pub const MOST_SHOTS: usize = 4;
 const TOLERANCE: f64 = 1.0 / 3.0 - 0.07;
 /// Stops within which a finished test shot needs no better one: half a step of a third.
 const GOOD: f64 = 0.2;
+/// Share of saturation up to which a prediction, its noise on top, does not come out clipped.
+const SAFE: f64 = 0.94;
+/// Standard deviations of noise that the brightest thousandth lies above its light, and one shot's above another's.
+const NOISE_ABOVE: f64 = 2.0;
 /// What a shot aims at whose predecessor was clipped, as a share of the target: its estimate is rough.
 const CAREFUL: f64 = 0.5;
 /// Slowest shutter of a longer unlit frame, seconds: beyond, the sensor's own dark signal counts.
@@ -49,6 +53,8 @@ pub struct Finding<S = Nominal> {
     flash: [f64; 4],
     unlit: Option<Shot>,
     lit: Option<Shot>,
+    /// Settings of lit shots in which too much was clipped.
+    clipped: Vec<Exposure>,
     shots: usize,
 }
 
@@ -126,6 +132,7 @@ impl<S: ExposureScale> Finding<S> {
             flash: [0.0; 4],
             unlit: None,
             lit: None,
+            clipped: vec![],
             shots: 0,
         })
     }
@@ -155,7 +162,11 @@ impl<S: ExposureScale> Finding<S> {
             if better == lit.exposure {
                 return Err(self.unreachable(better));
             }
-            return if left > 0 { shoot(better, true) } else { Err(FindingError::Unsteady) };
+            return if left > 0 {
+                shoot(better, true)
+            } else {
+                Err(FindingError::Unsettled { next: better })
+            };
         }
         let best = self.best(self.wish.target_share);
         let off_by = |exposure| (self.share(exposure) / self.wish.target_share).log2().abs();
@@ -165,8 +176,7 @@ impl<S: ExposureScale> Finding<S> {
         // A test shot that is as good as any is the plan, else the plan is tried if shots are left.
         let tried = lit.exposure == best
             || off_by(lit.exposure) < GOOD && self.cost(lit.exposure) <= self.cost(best) + GOOD;
-        let fits = lit.seen.iter().all(|b| b.clipped <= self.wish.clipped_share);
-        match (tried && fits, left) {
+        match (tried && self.fits(&lit), left) {
             (true, _) => Ok(Next::Done(self.found(lit.exposure))),
             (false, 0) => Ok(Next::Done(self.found(best))),
             (false, _) => shoot(best, true),
@@ -189,6 +199,8 @@ impl<S: ExposureScale> Finding<S> {
                 // Less light than the room alone should give: what was thought the room's was noise.
                 self.room[c] = self.room[c].min(light / room);
             }
+            let too_bright = shot.is_clipped() || !self.fits(&shot);
+            self.clipped.extend(too_bright.then_some(exposure));
             self.lit = Some(shot);
         } else {
             let room = self.room_scale(exposure);
@@ -196,6 +208,10 @@ impl<S: ExposureScale> Finding<S> {
             self.unlit = Some(shot);
         }
         Ok(())
+    }
+
+    fn fits(&self, shot: &Shot) -> bool {
+        shot.seen.iter().all(|b| b.clipped <= self.wish.clipped_share)
     }
 
     fn room_scale(&self, e: Exposure) -> f64 {
@@ -238,11 +254,31 @@ impl<S: ExposureScale> Finding<S> {
     /// The settings that come nearest to a share of saturation; among those within half a step the most welcome.
     fn best(&self, target: f64) -> Exposure {
         let miss = |e: &Exposure| (self.share(*e).max(1e-9) / target).log2().abs();
-        let nearest = self.choices.iter().map(miss).fold(f64::INFINITY, f64::min);
+        let safe: Vec<Exposure> = self.choices.iter().copied().filter(|e| self.is_safe(*e, target)).collect();
+        let pool = if safe.is_empty() { &self.choices } else { &safe };
+        let nearest = pool.iter().map(miss).fold(f64::INFINITY, f64::min);
         // Half a step of a third is 0.17; a little more makes room for a welcome one.
-        let reached = self.choices.iter().filter(|e| miss(e) <= nearest.max(GOOD) + 1e-9);
+        let reached = pool.iter().filter(|e| miss(e) <= nearest.max(GOOD) + 1e-9);
         let unwelcome = |e: &Exposure| self.cost(*e) + miss(e);
         reached.min_by(|a, b| unwelcome(a).total_cmp(&unwelcome(b))).copied().unwrap_or(self.start)
+    }
+
+    /// Whether settings should not come out clipped: not predicted so near to saturation that noise does it, nor as
+    /// bright as a lit shot that was.
+    fn is_safe(&self, e: Exposure, target: f64) -> bool {
+        let (room, flash) = (self.room_scale(e), self.flash_scale(e));
+        let as_bright = |c: &Exposure| room >= self.room_scale(*c) && flash >= self.flash_scale(*c);
+        self.share(e) + NOISE_ABOVE * self.noise(e) <= target.max(SAFE) && !self.clipped.iter().any(as_bright)
+    }
+
+    /// Standard deviation of a site's noise at these settings, by the last lit shot: shot noise goes with the root of
+    /// light and of gain.
+    fn noise(&self, e: Exposure) -> f64 {
+        let Some(lit) = &self.lit else { return 0.0 };
+        let noise = lit.seen.iter().map(|b| b.noise).fold(0.0, f64::max);
+        let gain = self.scale.gain(e.iso) / self.scale.gain(lit.exposure.iso);
+        let light = self.share(e) / self.share(lit.exposure).max(1e-9);
+        noise * (gain * light).max(0.0).sqrt()
     }
 
     /// Settings of the first lit shot: those of the start, unless the room alone is too bright at them.

@@ -207,10 +207,27 @@ fn a_weak_flash_is_warned_about_before_the_lens_opens_beyond_f4() {
     assert!(found.warnings.iter().any(|w| w.contains("dim the room")), "{found:?}");
 }
 
+#[test]
+fn a_plan_is_never_so_near_to_saturation_that_its_trial_comes_out_clipped() {
+    let base = scene(1.7029075733738335f64.exp2(), (-0.22509330752699702f64).exp2());
+    let scene = Scene {
+        room: [base.room[0] * 0.7639037603774076, base.room[1] * 0.3, base.room[2] * 0.3],
+        flash: [base.flash[0] * 0.9639525340736599, base.flash[1] * 0.3, base.flash[2] * 0.3],
+        contrast: 0.3149484335360408,
+        noise: 1.0502476524994897,
+    };
+    let start = Exposure { aperture: offered().apertures[11], ..START };
+    let (found, shots) = search(&scene, Wish::of(Some(WINDOW)), &offered(), start);
+    let found = found.unwrap_or_else(|error| panic!("{error} after {shots:?}"));
+    assert_on_target(&scene, &found);
+    assert!(found.predicted_share <= 0.94, "{found:?}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(120))]
 
-    /// At most four shots; on target within a third of a stop and not clipped, or truly out of reach.
+    /// At most four shots; on target within a third of a stop and not clipped, or truly out of reach, or settled (or
+    /// found out of reach) when begun again where the error says.
     #[test]
     fn every_scene_is_exposed_right_or_said_to_be_out_of_reach(
         room in -12.0..4.0f64,
@@ -247,7 +264,18 @@ proptest! {
                 prop_assert!(scene.shoot(found.plan.off, false, Some(98)).clipped_shares().iter().all(|c| *c <= 0.01));
             }
             Err(error) => {
-                prop_assert!(!matches!(error, FindingError::Unsteady), "{error} after {shots:?}");
+                if let FindingError::Unsettled { next } = error {
+                    // Rare; what it says to do next helps.
+                    let (found, more) = search(&scene, Wish { keep: Keep::default(), ..wish }, &offered, next);
+                    match found {
+                        Ok(found) => assert_on_target(&scene, &found),
+                        Err(again) => prop_assert!(
+                            !matches!(again, FindingError::Unsettled { .. }),
+                            "{error} after {shots:?}, then {again} after {more:?}"
+                        ),
+                    }
+                    return Ok(());
+                }
                 let finding = Finding::new(wish, &offered, start).unwrap();
                 let within = |e: &Exposure| (scene.share(*e) / 0.85).log2().abs() < 0.12;
                 let reach = finding.choices.iter().step_by(23).find(|e| within(e));

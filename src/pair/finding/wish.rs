@@ -130,9 +130,12 @@ pub enum FindingError {
         /// Where they should.
         target: f64,
     },
-    /// The light would not hold still.
+    /// No shots are left and the last was clipped or too dark to tell.
     #[error(
-        "{MOST_SHOTS} test shots did not settle the exposure: the light changes from shot to shot; let the flash recharge, keep lamps and windows steady, and try again"
+        "{MOST_SHOTS} test shots did not settle the exposure: set {next} on the camera and try again from there; if that does not settle it either, the light changes from shot to shot: let the flash recharge, keep lamps and windows steady"
     )]
-    Unsteady,
+    Unsettled {
+        /// Where to begin again.
+        next: Exposure,
+    },
 }

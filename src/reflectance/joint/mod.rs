@@ -35,7 +35,7 @@ use conjugate::System;
 pub(super) const PRIOR: f32 = 1.0;
 
 /// Runs of conjugate gradients: steps in each, and whether the lens's blur is found along.
-const RUNS: [(usize, bool); 5] = [(7, false), (5, false), (8, true), (8, true), (8, true)];
+const RUNS: [(usize, bool); 5] = [(6, false), (5, false), (7, true), (5, true), (5, true)];
 
 /// Standard deviation of the lens's blur before anything is known, pixels, and its bounds.
 const FIRST_BLUR: f32 = 0.8;
