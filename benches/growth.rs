@@ -185,7 +185,8 @@ fn prepared(folder: &Path, job: Job) -> PathBuf {
             })
             .collect();
     let mut calibrate = vec!["calibrate", "flash", &name, "--target-reflectance", "0.94"];
-    calibrate.extend(["--ring-radii", "0.035,0.085", "--shots"]);
+    // The card was shot at the usual size: 45.5 mm before 36 mm.
+    calibrate.extend(["--ring-radii", "0.035,0.085", "--focal-px", "758.333", "--shots"]);
     calibrate.extend(shots.iter().map(String::as_str));
     unlit(&calibrate);
     session

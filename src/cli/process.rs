@@ -91,7 +91,7 @@ pub(super) fn run(args: &Args) -> CliResult {
     );
     if summary.pieces > 1 {
         println!(
-            "the texture was solved in {} pieces of at most {} GB (--memory)",
+            "the texture was solved in {} pieces of about {} GB (--memory)",
             summary.pieces, args.memory
         );
     }

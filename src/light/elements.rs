@@ -119,17 +119,6 @@ impl Elements {
         self.mesh_of[element] as usize
     }
 
-    /// Triangles of a mesh.
-    pub fn triangles(&self, mesh: usize) -> usize {
-        self.meshes[mesh].len()
-    }
-
-    /// The elements that a mesh's triangle was cut into.
-    pub fn of_triangle(&self, mesh: usize, triangle: usize) -> impl Iterator<Item = usize> {
-        let (first, cuts) = self.meshes[mesh][triangle];
-        (first as usize)..(first + cuts * cuts) as usize
-    }
-
     /// The element at barycentric (u, v) of a mesh's triangle, and (u, v) inside the element.
     pub fn locate(&self, mesh: usize, triangle: usize, u: f32, v: f32) -> (usize, [f32; 2]) {
         let (first, cuts) = self.meshes[mesh][triangle];

@@ -48,6 +48,7 @@ impl RayKernel {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::Vec3Swizzles as _;
 
     fn quad() -> RayKernel {
         let (a, b, c, d) = (
@@ -77,6 +78,38 @@ mod tests {
             let s = -0.999 + 1.998 * i as f32 / 999.0;
             let direction = Vec3::new(s, s, 2.0) - Vec3::new(0.2, -0.3, -0.7);
             assert!(kernel.occluded(Vec3::new(0.2, -0.3, -0.7), direction, 0.0, 2.0), "leak at {s}");
+        }
+    }
+
+    #[test]
+    fn rays_along_the_axes_hit_whatever_the_sign_of_their_zeros() {
+        // A hundred small plates round the origin, before and behind.
+        let plate = |i: usize| {
+            let z = if i.is_multiple_of(2) { 2.0 } else { -2.0 } + i as f32 * 0.01;
+            [[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]].map(|[x, y]| Vec3::new(x, y, z))
+        };
+        let kernel = RayKernel::build((0..100).map(plate).collect());
+        for turn in [Vec3::X, Vec3::Y, Vec3::Z] {
+            // The same soup with the axis that the plates face turned to each of the three.
+            let axis = |p: Vec3| {
+                if turn == Vec3::X {
+                    p.zxy()
+                } else if turn == Vec3::Y {
+                    p.yzx()
+                } else {
+                    p
+                }
+            };
+            let turned: Vec<[Vec3; 3]> = (0..100).map(|i| kernel.corners(i).map(axis)).collect();
+            let turned = RayKernel::build(turned);
+            for zero in [0.0f32, -0.0] {
+                for sign in [1.0f32, -1.0] {
+                    let way = axis(Vec3::new(zero, zero, sign));
+                    let hit = turned.nearest(Vec3::ZERO, way, 0.0, f32::INFINITY);
+                    assert!(hit.is_some_and(|h| h.t > 1.0 && h.t < 2.1), "{way}: {hit:?}");
+                    assert!(turned.occluded(Vec3::ZERO, way, 0.0, f32::INFINITY), "{way}");
+                }
+            }
         }
     }
 

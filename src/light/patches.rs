@@ -18,6 +18,9 @@ use std::f32::consts::TAU;
 /// Most patches; where finer cells would lead to more, all are larger.
 const MOST_PATCHES: usize = 120_000;
 
+/// Cells do not grow beyond so many times their size.
+const COARSEST: f32 = 1e4;
+
 /// How often a cell may be halved.
 const HALVINGS: usize = 4;
 
@@ -63,15 +66,19 @@ struct Patch {
 impl Patches {
     /// Groups `elements`; `sizes[i]` (metres) is the largest cell of mesh `i`.
     pub fn build(elements: &Elements, sizes: &[f32]) -> Self {
-        let mut coarser = 1.0f32;
+        // The first mesh is the object: the others, which may be a whole room, are made coarser before it is.
+        let mut coarser = [1.0f32; 2];
         loop {
-            let sizes: Vec<f32> = sizes.iter().map(|s| s * coarser).collect();
+            let sizes: Vec<f32> =
+                sizes.iter().enumerate().map(|(m, s)| s * coarser[usize::from(m > 0)]).collect();
             let groups = divide(elements, &sizes);
-            // Elements that are patches of their own cannot be fewer.
-            if groups.len() <= MOST_PATCHES || coarser > 1e3 {
+            let others = groups.iter().filter(|g| elements.mesh_of(g[0] as usize) > 0).count();
+            let which = usize::from(others > MOST_PATCHES / 4);
+            // Whatever the cells, normals part patches.
+            if groups.len() <= MOST_PATCHES || coarser[which] > COARSEST {
                 return Self::of_groups(elements, groups);
             }
-            coarser *= (groups.len() as f32 / MOST_PATCHES as f32).sqrt().max(1.2);
+            coarser[which] *= (groups.len() as f32 / MOST_PATCHES as f32).sqrt().max(1.5);
         }
     }
 
@@ -390,6 +397,20 @@ mod tests {
             let want = (patches.mesh_of(p) == patches.mesh_of(0)).then_some([0.25, 0.5, 0.75]);
             assert_eq!(*value, want, "patch {p}");
         }
+    }
+
+    #[test]
+    fn a_large_floor_does_not_take_the_patches_of_the_object() {
+        let object = plate(Vec3::ZERO, Vec3::X, Vec3::Y);
+        let floor = plate(Vec3::new(-50.0, -50.0, -1.0), Vec3::X * 100.0, Vec3::Y * 100.0);
+        let meshes =
+            [Elements::build(&[&object], &[0.02]), Elements::build(&[&object, &floor], &[0.02, 0.2])];
+        let own = |elements: &Elements| {
+            let patches = Patches::build(elements, &[0.04, 0.2]);
+            assert!(patches.len() <= MOST_PATCHES, "{}", patches.len());
+            (0..patches.len()).filter(|&p| patches.mesh_of(p) == 0).count()
+        };
+        assert_eq!(own(&meshes[0]), own(&meshes[1]));
     }
 
     #[test]

@@ -29,6 +29,9 @@ const NOTHING: u32 = u32::MAX;
 /// By how much a box's far side is moved away, so that rounding never takes a ray past a corner that it touches.
 const ROUNDING: f32 = 1.0 + 4.0 * f32::EPSILON;
 
+/// By how much a box is wider than its triangles, relative to the largest coordinate.
+const PADDING: f32 = 4.0 * f32::EPSILON;
+
 /// Below this a component of a ray's direction counts as nothing; its inverse must be finite.
 const SMALLEST: f32 = 1e-30;
 
@@ -242,7 +245,9 @@ impl Ray {
         // which is one to a test that takes both sides.
         let dominant = direction.abs().max_position();
         let axes = [(dominant + 1) % 3, (dominant + 2) % 3, dominant];
-        let side = |back: bool| std::array::from_fn(|i| i + if (d[i] < 0.0) == back { 0 } else { 3 });
+        // By the sign bit, as the inverse: -0 runs backwards too.
+        let side =
+            |back: bool| std::array::from_fn(|i| i + if d[i].is_sign_negative() == back { 0 } else { 3 });
         Some(Self {
             origin: origin.to_array().map(Vec4::splat),
             inverse: d.map(|d| Vec4::splat(1.0 / if d.abs() < SMALLEST { SMALLEST.copysign(d) } else { d })),
@@ -374,8 +379,12 @@ impl<'a> Folding<'a> {
                 let [mut low, mut high] = [[Vec4::INFINITY; 3], [Vec4::NEG_INFINITY; 3]];
                 for (i, &child) in children.iter().enumerate() {
                     let bounds = self.binary.nodes[child].aabb();
-                    (0..3).for_each(|axis| low[axis][i] = bounds.min[axis]);
-                    (0..3).for_each(|axis| high[axis][i] = bounds.max[axis]);
+                    for axis in 0..3 {
+                        // Boxes of triangles that were cut are rounded: a ray must not miss one that it touches.
+                        let (from, to) = (bounds.min[axis], bounds.max[axis]);
+                        let room = PADDING * from.abs().max(to.abs());
+                        (low[axis][i], high[axis][i]) = (from - room, to + room);
+                    }
                     open.push((child, Some((number, i))));
                 }
                 let ([a, b, c], [d, e, f]) = (low, high);

@@ -226,9 +226,10 @@ pub fn process(
         Some(summary) => ProcessSummary { up_to_date: true, ..summary },
         None => {
             let summary = solve_and_write(session, &inputs, (size, options.memory()), &key, progress)?;
-            solve::forget_parts(session, &mut manifest)?;
             let outputs = outputs(&summary.uvs);
+            manifest.forget(solve::PARTS);
             manifest.note(session, "texture", &key, &outputs).map_err(io(&session.derived_dir()))?;
+            solve::remove_parts(session)?;
             summary
         }
     };

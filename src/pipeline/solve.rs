@@ -146,7 +146,7 @@ fn look_again(
 }
 
 /// Folder of the pieces that are solved, from the session's.
-const PARTS: &str = "derived/parts";
+pub(super) const PARTS: &str = "derived/parts";
 
 /// The solved pieces of a texture that is not whole yet.
 struct Parts<'a> {
@@ -190,8 +190,7 @@ impl<'a> Parts<'a> {
 }
 
 /// Throws the pieces away, the texture being whole.
-pub(super) fn forget_parts(session: &Session, manifest: &mut StageManifest) -> Result<(), ProcessError> {
-    manifest.forget(PARTS);
+pub(super) fn remove_parts(session: &Session) -> Result<(), ProcessError> {
     let folder = session.path().join(PARTS);
     match std::fs::remove_dir_all(&folder) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(io(&folder)(error)),

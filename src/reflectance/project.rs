@@ -70,42 +70,25 @@ pub struct Surroundings<'a> {
     /// Gloss of each mesh, where one was found; its light is `other` light.
     gloss: Vec<Option<Lobe>>,
     size: usize,
-    /// Which of the object's triangles the texture holds; `None`: all of them.
-    held: Option<Held>,
-}
-
-/// Triangles of the object that the texture holds, and their elements among all.
-struct Held {
-    triangles: Vec<bool>,
-    elements: Vec<bool>,
+    /// By element, whether the texture holds it; `None`: all of the object.
+    held: Option<Vec<bool>>,
 }
 
 impl<'a> Surroundings<'a> {
-    /// From now on only triangles of the object with such a patch (`patches[p]`) are looked at as texture, and the others
-    /// as one looks at other meshes; `None`: all of them.
+    /// From now on only such patches of the object (`patches[p]`) are looked at as texture, and the others as one looks at
+    /// other meshes; `None`: all of them.
     pub fn hold(&mut self, patches: Option<&[bool]>) {
         let stage = self.stage;
-        self.held = patches.map(|patches| {
-            let elements = |t: usize| stage.elements.of_triangle(0, t);
-            let triangles: Vec<bool> = (0..stage.elements.triangles(0))
-                .map(|t| elements(t).any(|e| patches[stage.patches.of(e)]))
-                .collect();
-            let mut held = vec![false; stage.elements.len()];
-            let all = triangles.iter().enumerate().filter(|(_, held)| **held);
-            all.flat_map(|(t, _)| elements(t)).for_each(|e| held[e] = true);
-            Held { triangles, elements: held }
-        });
+        let held =
+            |patches: &[bool]| (0..stage.elements.len()).map(|e| patches[stage.patches.of(e)]).collect();
+        self.held = patches.map(held);
     }
 
-    fn holds_element(&self, element: usize) -> bool {
+    fn holds(&self, element: usize) -> bool {
         match &self.held {
-            Some(held) => held.elements[element],
+            Some(held) => held[element],
             None => self.stage.elements.mesh_of(element) == 0,
         }
-    }
-
-    fn holds(&self, mesh: u32, triangle: u32) -> bool {
-        mesh == 0 && self.held.as_ref().is_none_or(|held| held.triangles[triangle as usize])
     }
 
     /// Meshes (the object first), the stage made of them, its patches' reflectance, the meshes' gloss, and the
@@ -140,8 +123,9 @@ impl Window {
         let held: Box<dyn Iterator<Item = Vec3>> = match &around.held {
             None => Box::new(object.positions.iter().copied()),
             Some(held) => {
-                let triangles = (0..object.triangles.len()).filter(|&t| held.triangles[t]);
-                Box::new(triangles.flat_map(|t| object.corners(t)))
+                let kernel = around.stage.elements.kernel();
+                let held = held.iter().enumerate().filter(|(_, held)| **held);
+                Box::new(held.flat_map(move |(e, _)| *kernel.corners(e as u32)))
             }
         };
         for p in held.filter(|p| p.is_finite()) {
@@ -266,11 +250,8 @@ fn row(around: &Surroundings, lit: &Lit, window: &Window, wanted: &Image<bool>, 
                     *other += lobe.sent(met.facing, direct as f32, mirrored * response as f32);
                 }
             }
-            let place = if around.holds(met.mesh, met.triangle) {
-                place(around, met.triangle as usize, met.uv)
-            } else {
-                None
-            };
+            let place =
+                if around.holds(element) { place(around, met.triangle as usize, met.uv) } else { None };
             match place {
                 Some((texel, at)) => {
                     if f64::from(met.facing) < GRAZING {
@@ -361,7 +342,7 @@ impl Surroundings<'_> {
                         (window.top + y * SEARCH_STEP) as f64,
                     );
                     let towards = lens.distortion.undistort((corner + 0.5 - lens.principal) / lens.focal);
-                    let of_object = |element| self.holds_element(element as usize);
+                    let of_object = |element| self.holds(element as usize);
                     light.sight().shows(towards.extend(1.0), spacing, of_object)
                 };
                 Ok((0..width).map(shows).collect())

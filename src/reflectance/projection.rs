@@ -114,7 +114,7 @@ impl Ground {
         (texel % self.size, texel / self.size)
     }
 
-    /// Cuts what there is for every texel into the bands of one parity, each with the first row of the next.
+    /// Cuts what there is for every texel into the bands of one parity, each with the band that follows it.
     fn cut<'a, T>(&self, parity: usize, mut all: &'a mut [T]) -> Vec<(usize, &'a mut [T])> {
         let (mut done, mut parts) = (0, vec![]);
         for band in (parity..self.bands.len() - 1).step_by(2) {

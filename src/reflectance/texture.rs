@@ -25,6 +25,9 @@ use std::collections::BTreeMap;
 /// points, less over a patch).
 const BOUNCE_ERROR: f32 = 0.05;
 
+/// A piece tells a pulse's energy if it leaves less than this of the measurement's standard deviation.
+const TOLD: f64 = 0.9;
+
 /// The texture cannot be solved.
 #[derive(Debug, thiserror::Error)]
 pub enum TextureError {
@@ -286,7 +289,11 @@ impl Settled<'_> {
         let mut own = vec![false; self.stage.patches.len()];
         self.pieces[piece].own.iter().for_each(|&p| own[p as usize] = true);
         let mut part = Part { blur: joint.blur, runs: joint.runs, ..Part::default() };
-        part.gains = views.iter().zip(&joint.gains).map(|(v, g)| (*v as u32, *g)).collect();
+        // A pulse that a piece hardly sees is left to one that tells its energy; of a single piece there is no other.
+        let alone = self.pieces.len() == 1;
+        let told = |photo: &Photo, gain: &FlashGain| alone || gain.deviation < TOLD * photo.gain.deviation;
+        let gains = views.iter().zip(&photos).zip(&joint.gains);
+        part.gains = gains.filter(|((_, p), g)| told(p, g)).map(|((v, _), g)| (*v as u32, *g)).collect();
         let cell_of = |place: u32| {
             let (x, y) = (place as usize % self.size, place as usize / self.size);
             ((y / CELL) * self.size.div_ceil(CELL) + x / CELL) as u32
@@ -321,12 +328,9 @@ impl Settled<'_> {
                 *cell = *known;
             }
         }
-        let side = self.size.div_ceil(CELL);
         for (place, rho) in &part.texels {
-            let at = *place as usize;
-            self.rho.pixels_mut()[at] = *rho;
-            let (x, y) = (at % self.size, at / self.size);
-            self.seen.pixels_mut()[at] = self.cells.pixels()[(y / CELL) * side + x / CELL].views > 0;
+            self.rho.pixels_mut()[*place as usize] = *rho;
+            self.seen.pixels_mut()[*place as usize] = true;
         }
         for (view, gain) in &part.gains {
             self.gains[*view as usize].get_or_insert(*gain);
@@ -338,7 +342,12 @@ impl Settled<'_> {
     }
 
     /// The texture, all pieces taken; `measured` are the energies of the views, for those that tell nothing.
-    pub fn finish(self, measured: &[FlashGain]) -> Result<Texture, TextureError> {
+    pub fn finish(mut self, measured: &[FlashGain]) -> Result<Texture, TextureError> {
+        let side = self.size.div_ceil(CELL);
+        for (at, seen) in self.seen.pixels_mut().iter_mut().enumerate() {
+            let (x, y) = (at % self.size, at / self.size);
+            *seen &= self.cells.pixels()[(y / CELL) * side + x / CELL].views > 0;
+        }
         if !self.seen.pixels().contains(&true) {
             return Err(TextureError::TooSmall);
         }

@@ -8,14 +8,14 @@
 //! ```
 //!
 //! with A the linear view of [`super::project`], m and sigma the energies as measured (or 1 and a strobe's own
-//! spread), and rho_0 the elements' robust estimate. w = trust / variance; the variance is the sensor's at the light
+//! spread), and rho_0 the patches' robust estimate. w = trust / variance; the variance is the sensor's at the light
 //! *expected* (weights that follow the noise of what was read would pull the result down) and the model's own error:
 //! a share of the reading, what a small misplacement of the picture changes, and what other surfaces add through the
 //! lens's blur. Trust is Tukey's biweight of the residual, taken anew every round.
 //!
 //! rho by preconditioned conjugate gradients on the normal equations (Hestenes and Stiefel 1952), the preconditioner
 //! being the row sums of A'WA, which bound its eigenvalues because A has no negative entry; g and the trusts between
-//! the runs. The prior's precision also keeps texels that hardly any site speaks of near the elements' estimate.
+//! the runs. The prior's precision also keeps texels that hardly any site speaks of near the patches' estimate.
 
 mod conjugate;
 mod state;
@@ -30,7 +30,7 @@ use crate::photometry::FlashGain;
 use crate::progress::{Cancelled, Progress};
 use conjugate::System;
 
-/// Standard deviation of a texel about the elements' estimate, of 1: weak, for it pulls detail down (0.2 took a
+/// Standard deviation of a texel about the patches' estimate, of 1: weak, for it pulls detail down (0.2 took a
 /// third of what the photographs tell; from 0.6 on nothing changes).
 pub(super) const PRIOR: f32 = 1.0;
 
