@@ -101,8 +101,8 @@ fn cover(triangle: u32, corners: &[DVec3; 3], image: [DVec2; 3], grid: &Grid, ne
     // Inverse depth is linear over the image.
     let slope = normal / (distance * grid.focal);
     // A sliver seen nearly edge-on has no slope to speak of: it lies where its corners lie.
-    let depths = corners.map(|c| 1.0 / c.z);
-    let (least, most) = depths.iter().fold((f64::INFINITY, 0.0f64), |(a, b), d| (a.min(*d), b.max(*d)));
+    let (near, far) = corners.iter().fold((f64::INFINITY, 0.0f64), |(a, b), c| (a.min(c.z), b.max(c.z)));
+    let (least, most) = (1.0 / far, 1.0 / near.max(NEAREST));
     let (columns, rows) = (first.x as usize..end.x as usize, first.y as usize..end.y as usize);
     for y in rows {
         for x in columns.clone() {
@@ -113,7 +113,7 @@ fn cover(triangle: u32, corners: &[DVec3; 3], image: [DVec2; 3], grid: &Grid, ne
             }
             let off = at - grid.axis;
             let inverse = slope.x * off.x + slope.y * off.y + slope.z * grid.focal;
-            let inverse = inverse.clamp(least, most) as f32;
+            let inverse = inverse.max(least).min(most) as f32;
             if inverse > 0.0 {
                 let point = &mut nearest[y * grid.width + x];
                 *point = mark(inverse, triangle).max(*point);
