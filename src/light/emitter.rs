@@ -12,8 +12,8 @@
 //! take its place. All irradiance is per unit radiance along the axis (for a point: per unit intensity), so radiance
 //! per channel stays with the caller.
 
-use super::{RayKernel, Ring, RingError};
-use glam::{DAffine3, DVec2, DVec3, Vec3};
+use super::{Occluders, Ring, RingError};
+use glam::{DAffine3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
@@ -142,60 +142,40 @@ impl Emitter {
         self.clear(point, normal)
     }
 
-    /// The same with shadows: `world_from_camera` places point and normal (camera frame) in the kernel's
-    /// world. `offset` (metres) keeps shadow rays off the surface that they start from.
-    pub fn shadowed_irradiance(
-        &self,
-        kernel: &RayKernel,
-        world_from_camera: &DAffine3,
-        point: DVec3,
-        normal: DVec3,
-        offset: f64,
-    ) -> f64 {
-        self.partly(kernel, world_from_camera, point, normal, offset, POINTS)
+    /// The same with shadows.
+    pub fn shadowed_irradiance(&self, occluders: &Occluders, point: DVec3, normal: DVec3) -> f64 {
+        match self.as_ring() {
+            Some(ring) => ring.shadowed_irradiance(occluders, point, normal),
+            None => self.partly(occluders, point, normal, POINTS),
+        }
     }
 
     /// The same by four points of the lamp alone, for whoever takes the mean over many elements: the mean is right,
     /// a single value hardly ever in the half-shadow.
-    pub fn glimpsed_irradiance(
-        &self,
-        kernel: &RayKernel,
-        world_from_camera: &DAffine3,
-        point: DVec3,
-        normal: DVec3,
-        offset: f64,
-    ) -> f64 {
-        self.partly(kernel, world_from_camera, point, normal, offset, 4)
+    pub fn glimpsed_irradiance(&self, occluders: &Occluders, point: DVec3, normal: DVec3) -> f64 {
+        match self.as_ring() {
+            Some(ring) => ring.glimpsed_irradiance(occluders, point, normal),
+            None => self.partly(occluders, point, normal, 4),
+        }
     }
 
-    fn partly(
-        &self,
-        kernel: &RayKernel,
-        world_from_camera: &DAffine3,
-        point: DVec3,
-        normal: DVec3,
-        offset: f64,
-        points: usize,
-    ) -> f64 {
-        if let (Shape::Ring(ring), true) = (&self.shape, self.is_even_and_centred()) {
-            return if points == POINTS {
-                ring.shadowed_irradiance(kernel, world_from_camera, point, normal, offset)
-            } else {
-                ring.glimpsed_irradiance(kernel, world_from_camera, point, normal, offset)
-            };
+    /// The even ring round the lens, if it is one.
+    fn as_ring(&self) -> Option<&Ring> {
+        match &self.shape {
+            Shape::Ring(ring) if self.is_even_and_centred() => Some(ring),
+            _ => None,
         }
+    }
+
+    fn partly(&self, occluders: &Occluders, point: DVec3, normal: DVec3, points: usize) -> f64 {
         let (place, facing) = self.local(point, normal);
         let clear = self.clear(place, facing);
         if clear <= 0.0 {
             return 0.0;
         }
-        let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
-        let world_from_lamp = *world_from_camera * self.camera_from_lamp;
+        let start = occluders.start(point, normal);
         let turn = f64::from(super::ring::scrambled(start));
-        let visible = |lamp: DVec3| {
-            let way: Vec3 = world_from_lamp.transform_point3(lamp).as_vec3() - start;
-            !kernel.occluded(start, way, 0.0, 1.0)
-        };
+        let visible = |lamp: DVec3| occluders.let_see(start, self.camera_from_lamp.transform_point3(lamp));
         if matches!(self.shape, Shape::Point) {
             return if visible(DVec3::ZERO) { clear } else { 0.0 };
         }

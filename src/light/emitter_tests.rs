@@ -1,4 +1,8 @@
+//! Lamps against brute force and plates with known shadows.
+
+use super::super::RayKernel;
 use super::*;
+use glam::Vec3;
 
 const PLACES: [(DVec3, DVec3); 4] = [
     (DVec3::new(0.0, 0.0, 0.8), DVec3::new(0.1, 0.2, -0.9)),
@@ -108,6 +112,7 @@ fn half_a_lamp_behind_a_plate_gives_half_its_light() {
     let far = 9.0f32;
     let quad = [[0.0, -far], [far, -far], [far, far], [0.0, far]].map(|[x, y]| Vec3::new(x, y, 0.2));
     let kernel = RayKernel::build(vec![[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]);
+    let occluders = Occluders { kernel: &kernel, world_from_camera: &DAffine3::IDENTITY, offset: 1e-4 };
     let (point, normal) = (DVec3::new(0.0, 0.0, 0.8), -DVec3::Z);
     for (shape, exponent) in [
         (Shape::Disc { radius: 0.05 }, 0.0),
@@ -115,14 +120,14 @@ fn half_a_lamp_behind_a_plate_gives_half_its_light() {
         (Shape::Mesh { triangles: square(0.06) }, 0.0),
     ] {
         let lamp = Emitter::new(shape, DAffine3::IDENTITY, exponent).unwrap();
-        let lit = lamp.shadowed_irradiance(&kernel, &DAffine3::IDENTITY, point, normal, 1e-4);
+        let lit = lamp.shadowed_irradiance(&occluders, point, normal);
         let share = lit / lamp.irradiance(point, normal);
         assert!((share - 0.5).abs() < 0.05, "{share} of {:?}", lamp.shape());
     }
     let point_lamp = |x: f64| {
         let pose = DAffine3::from_translation(DVec3::new(x, 0.0, 0.0));
         let lamp = Emitter::new(Shape::Point, pose, 0.0).unwrap();
-        lamp.shadowed_irradiance(&kernel, &DAffine3::IDENTITY, point, normal, 1e-4)
+        lamp.shadowed_irradiance(&occluders, point, normal)
     };
     assert_eq!(point_lamp(0.1), 0.0);
     assert!(point_lamp(-0.1) > 0.0);

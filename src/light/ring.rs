@@ -18,7 +18,7 @@
 //! element's horizon; where the horizon cuts it, the sum over 256 equal-area points takes its place.
 //! Shadow rays go to points on the rims first, to equal-area points where those disagree.
 
-use super::RayKernel;
+use super::Occluders;
 use glam::{DVec2, DVec3, Vec3, Vec3Swizzles};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
@@ -108,22 +108,13 @@ impl Ring {
         }
     }
 
-    /// The same with shadows: `world_from_camera` places point and normal (camera frame) in the kernel's
-    /// world. `offset` (metres) keeps shadow rays off the surface that they start from.
-    pub fn shadowed_irradiance(
-        &self,
-        kernel: &RayKernel,
-        world_from_camera: &glam::DAffine3,
-        point: DVec3,
-        normal: DVec3,
-        offset: f64,
-    ) -> f64 {
+    /// The same with shadows.
+    pub fn shadowed_irradiance(&self, occluders: &Occluders, point: DVec3, normal: DVec3) -> f64 {
         let clear = self.irradiance(point, normal);
         if clear <= 0.0 {
             return 0.0;
         }
-        let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
-        let element = Element { kernel, world_from_camera, point, normal, start };
+        let element = Element::new(occluders, point, normal);
         // A turn of its own for every point: what one point's samples miss another's find, and no bands appear.
         let turn = DVec2::from_angle(TAU * f64::from(scrambled(element.start)));
         let places = &*PLACES;
@@ -142,57 +133,27 @@ impl Ring {
 
     /// The same by the share of four points of the ring alone that see the element, for whoever takes the mean over
     /// many elements: the mean is right, a single value hardly ever in the half-shadow.
-    pub fn glimpsed_irradiance(
-        &self,
-        kernel: &RayKernel,
-        world_from_camera: &glam::DAffine3,
-        point: DVec3,
-        normal: DVec3,
-        offset: f64,
-    ) -> f64 {
-        let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
+    pub fn glimpsed_irradiance(&self, occluders: &Occluders, point: DVec3, normal: DVec3) -> f64 {
+        let start = occluders.start(point, normal);
         let seed = [scrambled(start), scrambled(start.zxy())];
-        let draw = Draw { seed, first: 0, count: GLIMPSE };
-        self.drawn_irradiance(kernel, world_from_camera, point, normal, offset, draw)
+        self.drawn_irradiance(occluders, point, normal, Draw { seed, first: 0, count: GLIMPSE })
     }
 
     /// The same by the points of a draw, for whoever looks several times at one place.
-    pub fn drawn_irradiance(
-        &self,
-        kernel: &RayKernel,
-        world_from_camera: &glam::DAffine3,
-        point: DVec3,
-        normal: DVec3,
-        offset: f64,
-        draw: Draw,
-    ) -> f64 {
+    pub fn drawn_irradiance(&self, occluders: &Occluders, point: DVec3, normal: DVec3, draw: Draw) -> f64 {
         let clear = self.irradiance(point, normal);
-        if clear > 0.0 {
-            clear * self.drawn_share(kernel, world_from_camera, point, normal, offset, draw)
-        } else {
-            0.0
-        }
+        if clear > 0.0 { clear * self.drawn_share(occluders, point, normal, draw) } else { 0.0 }
     }
 
     /// Share of [`Self::irradiance`] that shadows leave, by the points of a draw.
-    pub fn drawn_share(
-        &self,
-        kernel: &RayKernel,
-        world_from_camera: &glam::DAffine3,
-        point: DVec3,
-        normal: DVec3,
-        offset: f64,
-        draw: Draw,
-    ) -> f64 {
-        let start = world_from_camera.transform_point3(point + normal * offset).as_vec3();
-        let element = Element { kernel, world_from_camera, point, normal, start };
+    pub fn drawn_share(&self, occluders: &Occluders, point: DVec3, normal: DVec3, draw: Draw) -> f64 {
         let turn = DVec2::from_angle(TAU * f64::from(draw.seed[1]));
         let slide = f64::from(draw.seed[0]);
         let points = (draw.first..draw.first + draw.count).map(|i| {
             let place = PLACES.even[i as usize % FINE];
             self.at(&Place { share: (slide + place.share).fract(), ..place }, turn)
         });
-        element.lit(points, self.outer)
+        Element::new(occluders, point, normal).lit(points, self.outer)
     }
 
     /// A place on the ring, turned round its axis: camera frame, metres.
@@ -241,7 +202,7 @@ static PLACES: LazyLock<Places> = LazyLock::new(|| {
         Place::new((circle as f64 + 0.5) / CIRCLES as f64, (sector as f64 + slant) / SECTORS as f64)
     });
     // Halton's sequence: any run of it is even, and every second place lies opposite the one before it.
-    let even = (0..FINE as u32).map(|i| Place::new(mirrored(i, 3), mirrored(i, 2)));
+    let even = (0..FINE as u32).map(|i| Place::new(behind_point(i, 3), behind_point(i, 2)));
     Places {
         fine: (0..FINE).map(|i| Place::spread(i, FINE)).collect(),
         rims: outer.chain(inner).collect(),
@@ -251,7 +212,7 @@ static PLACES: LazyLock<Places> = LazyLock::new(|| {
 });
 
 /// The digits of `i` to a base behind the point, the last first.
-fn mirrored(mut i: u32, base: u32) -> f64 {
+fn behind_point(mut i: u32, base: u32) -> f64 {
     let (mut value, mut place) = (0.0, 1.0);
     while i > 0 {
         place /= f64::from(base);
@@ -263,22 +224,24 @@ fn mirrored(mut i: u32, base: u32) -> f64 {
 
 /// An element under the lamp, camera frame, and where its shadow rays start, world frame.
 struct Element<'a> {
-    kernel: &'a RayKernel,
-    world_from_camera: &'a glam::DAffine3,
+    occluders: &'a Occluders<'a>,
     point: DVec3,
     normal: DVec3,
     start: Vec3,
 }
 
-impl Element<'_> {
+impl<'a> Element<'a> {
+    fn new(occluders: &'a Occluders<'a>, point: DVec3, normal: DVec3) -> Self {
+        Self { occluders, point, normal, start: occluders.start(point, normal) }
+    }
+
     /// What a point of the lamp gives it if nothing is in the way.
     fn share(&self, lamp: DVec3) -> f64 {
         form(lamp, self.point, self.normal)
     }
 
     fn sees(&self, lamp: DVec3) -> bool {
-        let way = self.world_from_camera.transform_point3(lamp).as_vec3() - self.start;
-        !self.kernel.occluded(self.start, way, 0.0, 1.0)
+        self.occluders.let_see(self.start, lamp)
     }
 
     /// Share of these points' light that reaches it. Where the horizon hides all of them, the highest point of the
@@ -336,112 +299,5 @@ fn disc_vector(a: f64, point: DVec3) -> DVec3 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Brute force over many ring points, horizon included.
-    fn summed(ring: &Ring, point: DVec3, normal: DVec3) -> f64 {
-        let n = 400_000;
-        let area = PI * (ring.outer.powi(2) - ring.inner.powi(2));
-        (0..n).map(|i| form(ring.at(&Place::spread(i, n), DVec2::X), point, normal)).sum::<f64>() * area
-            / n as f64
-    }
-
-    #[test]
-    fn white_square_at_one_metre_has_the_known_radiance() {
-        let ring = Ring::new(0.010, 0.100).unwrap();
-        let e = 60.0 * ring.irradiance(DVec3::new(0.0, 0.0, 1.0), -DVec3::Z);
-        assert!((0.94 * e / PI - 0.5528).abs() < 5e-5, "{}", 0.94 * e / PI);
-    }
-
-    #[test]
-    fn closed_form_agrees_with_the_sum_over_the_ring() {
-        let ring = Ring::new(0.035, 0.085).unwrap();
-        for (point, normal) in [
-            (DVec3::new(0.0, 0.0, 0.8), DVec3::new(0.1, 0.2, -0.9)),
-            (DVec3::new(0.3, -0.2, 0.6), DVec3::new(-0.4, 0.1, -0.7)),
-            (DVec3::new(1e-7, 0.0, 0.3), DVec3::new(0.5, 0.0, -0.5)),
-            (DVec3::new(0.05, 0.02, 0.1), DVec3::new(0.0, 0.0, -1.0)),
-            (DVec3::new(-0.8, 0.9, 0.2), DVec3::new(0.7, -0.7, -0.1)),
-        ] {
-            let normal = normal.normalize();
-            let (closed, brute) = (ring.irradiance(point, normal), summed(&ring, point, normal));
-            assert!((closed / brute - 1.0).abs() < 2e-5, "{closed} {brute} at {point}");
-        }
-    }
-
-    #[test]
-    fn where_the_horizon_cuts_the_ring_the_sum_takes_over() {
-        let ring = Ring::new(0.035, 0.085).unwrap();
-        let (point, normal) = (DVec3::new(0.0, 0.02, 0.5), DVec3::new(1.0, 0.05, -0.02).normalize());
-        let (got, brute) = (ring.irradiance(point, normal), summed(&ring, point, normal));
-        assert!((got / brute - 1.0).abs() < 0.02, "{got} {brute}");
-        assert_eq!(ring.irradiance(point, DVec3::Z), 0.0);
-        assert_eq!(ring.irradiance(DVec3::new(0.0, 0.0, -0.5), DVec3::Z), 0.0);
-    }
-
-    #[test]
-    fn a_half_plane_before_half_the_ring_takes_half_the_light_from_whatever_side() {
-        let ring = Ring::new(0.035, 0.085).unwrap();
-        let far = 9.0;
-        for side in 0..16 {
-            let turn = glam::Quat::from_rotation_z(side as f32 * 0.4);
-            let quad =
-                [[0.0, -far], [far, -far], [far, far], [0.0, far]].map(|[x, y]| turn * Vec3::new(x, y, 0.2));
-            let kernel = RayKernel::build(vec![[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]);
-            let (point, normal) = (DVec3::new(0.0, 0.0, 0.8), -DVec3::Z);
-            let lit = ring.shadowed_irradiance(&kernel, &glam::DAffine3::IDENTITY, point, normal, 1e-4);
-            let share = lit / ring.irradiance(point, normal);
-            assert!((share - 0.5).abs() < 0.05, "{share} from side {side}");
-        }
-    }
-
-    #[test]
-    fn the_sliver_above_the_horizon_is_shadowed_like_the_rest() {
-        let ring = Ring::new(0.035, 0.085).unwrap();
-        let point = DVec3::new(0.0, 0.0, 0.5);
-        // The horizon leaves some 1e-5 of the ring's radius at its rightmost point.
-        let normal = DVec3::new(1.0, 0.0, 0.085 * 0.99999 / 0.5).normalize();
-        let wall = |x: f32| {
-            let quad = [[x, -9.0], [9.0, -9.0], [9.0, 9.0], [x, 9.0]].map(|[x, y]| Vec3::new(x, y, 0.2));
-            RayKernel::build(vec![[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]])
-        };
-        for (kernel, lit) in [(wall(0.0), 0.0), (wall(8.0), 1.0)] {
-            let element = Element {
-                kernel: &kernel,
-                world_from_camera: &glam::DAffine3::IDENTITY,
-                point,
-                normal,
-                start: (point + normal * 1e-4).as_vec3(),
-            };
-            let hidden = std::iter::once(DVec3::new(-0.05, 0.0, 0.0));
-            assert_eq!(element.lit(hidden, ring.outer), lit);
-        }
-    }
-
-    #[test]
-    fn the_draws_of_one_pixel_together_tell_the_share_of_a_half_shadow() {
-        let ring = Ring::new(0.035, 0.085).unwrap();
-        let wall = [[0.0, -9.0], [9.0, -9.0], [9.0, 9.0], [0.0, 9.0]].map(|[x, y]| Vec3::new(x, y, 0.2));
-        let kernel = RayKernel::build(vec![[wall[0], wall[1], wall[2]], [wall[0], wall[2], wall[3]]]);
-        let mut mean = 0.0;
-        for pixel in (0..100).map(|i| (i % 10, i / 10)) {
-            let share = |k: u32| {
-                let draw = Draw::of_pixel(pixel, 8 * k, 8);
-                let (point, world) = (DVec3::new(0.0, 0.0, 0.8), glam::DAffine3::IDENTITY);
-                ring.drawn_share(&kernel, &world, point, -DVec3::Z, 1e-4, draw)
-            };
-            let whole = (0..4).map(share).sum::<f64>() / 4.0;
-            assert!((whole - 0.5).abs() < 0.08, "{whole} in {pixel:?}");
-            mean += whole / 100.0;
-        }
-        assert!((mean - 0.5).abs() < 0.005, "{mean}");
-    }
-
-    #[test]
-    fn radii_out_of_order_are_refused() {
-        assert!(Ring::new(0.085, 0.035).is_err());
-        assert!(Ring::new(-0.1, 0.035).is_err());
-        assert!(Ring::new(f64::NAN, 0.035).is_err());
-    }
-}
+#[path = "ring_tests.rs"]
+mod tests;

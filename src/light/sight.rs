@@ -222,7 +222,7 @@ fn edges(hits: &[Option<(DVec3, DVec3)>], map: &Grid) -> Image<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::Ring;
+    use crate::light::{Occluders, Ring};
     use crate::scene::Intrinsics;
     use glam::DAffine3;
 
@@ -254,12 +254,13 @@ mod tests {
         let (kernel, camera) = (plate_before_wall(), camera());
         let ring = Ring::new(0.035, 0.085).unwrap();
         let sight = Sight::look(&kernel, &[-Vec3::Z; 4], &camera, ring.outer);
+        let occluders = Occluders { kernel: &kernel, world_from_camera: &DAffine3::IDENTITY, offset: 1e-4 };
         let (mut free, mut lit) = (0, 0);
         for i in 0..80 {
             for j in 0..60 {
                 let point = DVec3::new(i as f64 / 100.0 - 0.4, j as f64 / 100.0 - 0.3, 1.0);
                 let clear = ring.irradiance(point, -DVec3::Z);
-                let got = ring.shadowed_irradiance(&kernel, &DAffine3::IDENTITY, point, -DVec3::Z, 1e-4);
+                let got = ring.shadowed_irradiance(&occluders, point, -DVec3::Z);
                 let is_lit = got > 0.999 * clear;
                 assert!(is_lit || !sight.is_free(point, -DVec3::Z), "{point}: {}", got / clear);
                 lit += i32::from(is_lit);

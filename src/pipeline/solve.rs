@@ -12,15 +12,15 @@ use crate::pair::PairRecord;
 use crate::progress::Progress;
 use crate::reflectance::atlas;
 use crate::reflectance::orientation::face_cameras;
+use crate::reflectance::pieces;
 use crate::reflectance::stage::Stage;
 use crate::reflectance::texture::{Part, Settled, Solver, Texture};
 use crate::scene::{Camera, Mesh, Scene};
 use crate::session::{Session, store};
 use glam::Vec3;
 
-/// Share of a photo that shows the object, about, and bytes that are kept of each of its pixels in each view at hand.
+/// Share of a photo that shows the object, about.
 const OBSERVED: f64 = 0.35;
-const OBSERVATION: f64 = 200.0;
 
 /// Bytes that a texel takes: its place on the surface, estimate, images to write.
 const TEXEL: f64 = 75.0;
@@ -40,7 +40,7 @@ pub(super) fn texture_size(
     let all: f64 = matched.iter().map(|(_, camera)| pixels(camera)).sum();
     let one = matched.iter().map(|(_, camera)| pixels(camera)).fold(0.0, f64::max);
     let fits = |size: usize| {
-        let piece = (all * OBSERVED * OBSERVATION).min(options.memory());
+        let piece = (all * OBSERVED * pieces::PIXEL).min(options.memory());
         let needs = ((size * size) as f64 * TEXEL + one * PIXEL + piece) / 1e9;
         let has = free() / 1e9;
         if needs < has { Ok(size) } else { Err(ProcessError::Memory { size, needs, has }) }

@@ -19,7 +19,7 @@ pub mod maps;
 mod mirror;
 pub mod observe;
 pub mod orientation;
-mod pieces;
+pub mod pieces;
 pub mod project;
 pub mod projection;
 pub mod range;

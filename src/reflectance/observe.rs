@@ -2,10 +2,10 @@
 
 use super::stage::Stage;
 use crate::calibration::FieldFactor;
-use crate::light::{Draw, Elements, Ring, SPOTS, Sight, Spot};
+use crate::light::{Draw, Elements, Occluders, Ring, SPOTS, Sight, Spot};
 use crate::photometry::Known;
 use crate::scene::Camera;
-use glam::{DAffine3, DVec2, Vec3};
+use glam::{DAffine3, DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
@@ -110,85 +110,68 @@ impl<'a> Illumination<'a> {
 
     /// Ring irradiance per unit radiance at a point with unit normal (world frame), shadows included.
     pub fn direct(&self, point: Vec3, normal: Vec3) -> f64 {
-        let local = self.camera_from_world.transform_point3(point.as_dvec3());
-        let facing = self.camera_from_world.transform_vector3(normal.as_dvec3());
-        if self.sight.is_free(local, facing) {
-            return self.lamp.ring.irradiance(local, facing);
-        }
-        let world_from_camera = &self.camera.world_from_camera;
-        self.lamp.ring.shadowed_irradiance(
-            self.elements.kernel(),
-            world_from_camera,
-            local,
-            facing,
-            self.offset,
-        )
+        self.unless_free(point, normal, |place, facing| {
+            self.lamp.ring.shadowed_irradiance(&self.occluders(), place, facing)
+        })
     }
 
     /// The same with coarse half-shadows that are right in the mean over many points: for the mean over a pixel.
     pub fn glimpsed(&self, point: Vec3, normal: Vec3) -> f64 {
-        let local = self.camera_from_world.transform_point3(point.as_dvec3());
-        let facing = self.camera_from_world.transform_vector3(normal.as_dvec3());
-        if self.sight.is_free(local, facing) {
-            return self.lamp.ring.irradiance(local, facing);
-        }
-        let world_from_camera = &self.camera.world_from_camera;
-        self.lamp.ring.glimpsed_irradiance(
-            self.elements.kernel(),
-            world_from_camera,
-            local,
-            facing,
-            self.offset,
-        )
+        self.unless_free(point, normal, |place, facing| {
+            self.lamp.ring.glimpsed_irradiance(&self.occluders(), place, facing)
+        })
     }
 
     /// The same at one of the spots over which a pixel's mean is taken.
     pub fn at_spot(&self, spot: &Spot) -> f64 {
-        let local = self.camera_from_world.transform_point3(spot.point.as_dvec3());
-        let facing = self.camera_from_world.transform_vector3(spot.normal.as_dvec3());
-        if self.sight.is_free(local, facing) {
-            return self.lamp.ring.irradiance(local, facing);
-        }
-        let world_from_camera = &self.camera.world_from_camera;
-        self.lamp.ring.drawn_irradiance(
-            self.elements.kernel(),
-            world_from_camera,
-            local,
-            facing,
-            self.offset,
-            spot.draw,
-        )
+        self.unless_free(spot.point, spot.normal, |place, facing| {
+            self.lamp.ring.drawn_irradiance(&self.occluders(), place, facing, spot.draw)
+        })
     }
 
     /// Ring irradiance per unit radiance at a point with unit normal (world frame) with nothing in the way.
     pub fn clear(&self, point: Vec3, normal: Vec3) -> f64 {
-        let local = self.camera_from_world.transform_point3(point.as_dvec3());
-        self.lamp.ring.irradiance(local, self.camera_from_world.transform_vector3(normal.as_dvec3()))
+        let (place, facing) = self.local(point, normal);
+        self.lamp.ring.irradiance(place, facing)
     }
 
     /// Share of [`Self::clear`] that shadows leave at a point with unit normal (world frame), by the lamp's points of a
     /// draw.
     pub fn drawn_share(&self, point: Vec3, normal: Vec3, draw: Draw) -> f64 {
-        let local = self.camera_from_world.transform_point3(point.as_dvec3());
-        let facing = self.camera_from_world.transform_vector3(normal.as_dvec3());
-        if self.sight.is_free(local, facing) {
+        let (place, facing) = self.local(point, normal);
+        if self.sight.is_free(place, facing) {
             return 1.0;
         }
-        let world_from_camera = &self.camera.world_from_camera;
-        self.lamp.ring.drawn_share(
-            self.elements.kernel(),
-            world_from_camera,
-            local,
-            facing,
-            self.offset,
-            draw,
-        )
+        self.lamp.ring.drawn_share(&self.occluders(), place, facing, draw)
+    }
+
+    /// Irradiance at a point (world frame): the closed form where nothing can stand in the way, else `shadowed` of
+    /// place and normal in the camera's frame.
+    fn unless_free(&self, point: Vec3, normal: Vec3, shadowed: impl FnOnce(DVec3, DVec3) -> f64) -> f64 {
+        let (place, facing) = self.local(point, normal);
+        if self.sight.is_free(place, facing) {
+            return self.lamp.ring.irradiance(place, facing);
+        }
+        shadowed(place, facing)
+    }
+
+    fn occluders(&self) -> Occluders<'_> {
+        Occluders {
+            kernel: self.elements.kernel(),
+            world_from_camera: &self.camera.world_from_camera,
+            offset: self.offset,
+        }
+    }
+
+    /// Point and normal in the camera's frame.
+    fn local(&self, point: Vec3, normal: Vec3) -> (DVec3, DVec3) {
+        let place = self.camera_from_world.transform_point3(point.as_dvec3());
+        (place, self.camera_from_world.transform_vector3(normal.as_dvec3()))
     }
 
     /// Whether the camera sees a point with unit normal (world frame), and whether beside an occlusion edge.
     fn sees(&self, point: Vec3, normal: Vec3) -> Option<bool> {
-        let local = self.camera_from_world.transform_point3(point.as_dvec3());
-        let facing = self.camera_from_world.transform_vector3(normal.as_dvec3());
+        let (local, facing) = self.local(point, normal);
         if !self.sight.is_free(local, facing) {
             let start = (point.as_dvec3() + normal.as_dvec3() * self.offset).as_vec3();
             let to_lens = self.camera.centre().as_vec3() - start;

@@ -9,8 +9,8 @@ use super::bounce::ViewLight;
 use crate::light::Patches;
 use glam::Vec3;
 
-/// Bytes kept of each pixel that shows the object, in each view.
-const PIXEL: f64 = 200.0;
+/// Bytes kept of each pixel that shows the object, in each view, about.
+pub const PIXEL: f64 = 200.0;
 
 /// Width of the rim, pixels of the view that sees it most coarsely.
 const RIM: f32 = 12.0;

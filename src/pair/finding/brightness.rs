@@ -8,7 +8,7 @@ use crate::photometry::inspect::Region;
 const QUANTILES: [(f64, f64); 7] =
     [(0.1, 8.0), (0.25, 6.0), (0.5, 4.0), (0.75, 3.0), (0.9, 2.2), (0.97, 1.6), (0.999, 1.0)];
 /// What a channel is taken for of which not even the darkest tenth is unclipped, as a multiple of saturation.
-const ALL_CLIPPED: f64 = 48.0;
+pub(super) const ALL_CLIPPED: f64 = 48.0;
 /// Share of the range from which on a quantile counts as clipped.
 const CLIPS: f64 = 0.98;
 /// Standard deviations that noise adds to the brightest thousandth: 3.1 on an even surface, none on a glossy one.

@@ -17,7 +17,7 @@ use crate::photometry::Mosaic;
 use crate::photometry::apex::{ExposureScale, Nominal};
 use crate::photometry::inspect::Region;
 use crate::units::{Iso, Seconds};
-use brightness::{Brightness, brightness};
+use brightness::{ALL_CLIPPED, Brightness, brightness};
 
 /// Most test shots.
 pub const MOST_SHOTS: usize = 4;
@@ -31,6 +31,10 @@ const SAFE: f64 = 0.94;
 const NOISE_ABOVE: f64 = 2.0;
 /// What a shot aims at whose predecessor was clipped, as a share of the target: its estimate is rough.
 const CAREFUL: f64 = 0.5;
+/// The same after a shot in which all was clipped.
+const BLIND: f64 = 0.06;
+/// Share of saturation that a prediction must have reached for a clipped shot not to contradict it.
+const FORETOLD: f64 = 0.7;
 /// Slowest shutter of a longer unlit frame, seconds: beyond, the sensor's own dark signal counts.
 const LONGEST_UNLIT: f64 = 1.0;
 /// Share of saturation at which a longer unlit frame's room light may end.
@@ -53,6 +57,8 @@ pub struct Finding<S = Nominal> {
     flash: [f64; 4],
     unlit: Option<Shot>,
     lit: Option<Shot>,
+    /// Whether room and flash are as a lit shot within the sensor's range told them.
+    told: bool,
     /// Settings of lit shots in which too much was clipped.
     clipped: Vec<Exposure>,
     shots: usize,
@@ -68,6 +74,10 @@ struct Shot {
 impl Shot {
     fn is_clipped(&self) -> bool {
         self.seen.iter().any(Brightness::is_clipped)
+    }
+
+    fn is_blown(&self) -> bool {
+        self.seen.iter().any(|b| b.top >= ALL_CLIPPED)
     }
 
     fn is_known(&self) -> bool {
@@ -132,6 +142,7 @@ impl<S: ExposureScale> Finding<S> {
             flash: [0.0; 4],
             unlit: None,
             lit: None,
+            told: false,
             clipped: vec![],
             shots: 0,
         })
@@ -144,7 +155,9 @@ impl<S: ExposureScale> Finding<S> {
         match (&self.unlit, &self.lit) {
             (None, _) if !self.wish.flash_only => return shoot(self.start, false),
             (Some(unlit), None) if unlit.is_clipped() => {
-                let darker = self.best(CAREFUL * self.wish.target_share);
+                // A frame without one site that is not clipped does not tell how far it is over.
+                let careful = if unlit.is_blown() { BLIND } else { CAREFUL };
+                let darker = self.best(careful * self.wish.target_share);
                 // One shot at least must be left for the flash.
                 if darker == unlit.exposure || self.shots + 1 >= MOST_SHOTS {
                     return Err(self.unreachable(darker));
@@ -156,7 +169,8 @@ impl<S: ExposureScale> Finding<S> {
         }
         let Some(lit) = self.lit else { return shoot(self.start, true) };
         let left = MOST_SHOTS.saturating_sub(self.shots);
-        if !lit.is_known() {
+        let told = lit.is_known() || self.told && lit.is_clipped();
+        if !told {
             let aim = if lit.is_clipped() { CAREFUL } else { 1.0 } * self.wish.target_share;
             let better = self.best(aim);
             if better == lit.exposure {
@@ -174,6 +188,9 @@ impl<S: ExposureScale> Finding<S> {
             return Err(self.unreachable(best));
         }
         // A test shot that is as good as any is the plan, else the plan is tried if shots are left.
+        if !lit.is_known() && self.clipped.contains(&best) {
+            return Err(self.unreachable(best));
+        }
         let tried = lit.exposure == best
             || off_by(lit.exposure) < GOOD && self.cost(lit.exposure) <= self.cost(best) + GOOD;
         match (tried && self.fits(&lit), left) {
@@ -193,7 +210,10 @@ impl<S: ExposureScale> Finding<S> {
         self.shots += 1;
         if flash {
             let (room, gain) = (self.room_scale(exposure), self.flash_scale(exposure));
-            for (c, seen) in shot.seen.iter().enumerate() {
+            // What a shot that was measured has told stands, if a clipped one is no more than it foretold with its error.
+            self.told = shot.is_known() || self.told && shot.is_clipped() && self.share(exposure) > FORETOLD;
+            let kept = self.told && !shot.is_known();
+            for (c, seen) in shot.seen.iter().enumerate().filter(|_| !kept) {
                 let light = if shot.is_known() { seen.signal() } else { seen.at_most() };
                 self.flash[c] = (light - self.room[c] * room).max(0.0) / gain;
                 // Less light than the room alone should give: what was thought the room's was noise.
@@ -264,8 +284,11 @@ impl<S: ExposureScale> Finding<S> {
     }
 
     /// Whether settings should not come out clipped: not predicted so near to saturation that noise does it, nor as
-    /// bright as a lit shot that was.
+    /// bright as a lit shot that was. Those of a lit shot that came out well clear of saturation are.
     fn is_safe(&self, e: Exposure, target: f64) -> bool {
+        if self.lit.is_some_and(|lit| lit.exposure == e && lit.seen.iter().all(|b| b.top < SAFE)) {
+            return true;
+        }
         let (room, flash) = (self.room_scale(e), self.flash_scale(e));
         let as_bright = |c: &Exposure| room >= self.room_scale(*c) && flash >= self.flash_scale(*c);
         self.share(e) + NOISE_ABOVE * self.noise(e) <= target.max(SAFE) && !self.clipped.iter().any(as_bright)
