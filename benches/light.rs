@@ -58,7 +58,7 @@ fn growth(scene: &Scene) {
             meshes = meshes.iter().map(halved).collect();
         }
         let begun = cpu_seconds();
-        let stage = Stage::build(&meshes);
+        let stage = Stage::build(&meshes, 1);
         let built = cpu_seconds();
         let mut seen = 0;
         for k in 0..views {

@@ -65,7 +65,7 @@ impl Scene {
     }
 
     pub(crate) fn stage(&self) -> Stage {
-        Stage::build(&self.meshes)
+        Stage::build(&self.meshes, 1)
     }
 
     /// The ring at a radiance of one.

@@ -101,6 +101,14 @@ impl Elements {
         0.5 * (b - a).cross(c - a).length()
     }
 
+    /// From a place on the element to where rays may start without meeting it, metres.
+    pub(crate) fn lift(&self, element: usize) -> Vec3 {
+        let [a, b, c] = *self.kernel.corners(element as u32);
+        let size = (b - a).length().max((c - a).length());
+        let scale = a.abs().max_element().max(size);
+        self.normal(element) * (1e-5 * scale + 1e-3 * size)
+    }
+
     /// Barycentric weights of the second and third corner of a point that lies on the element.
     pub fn place(&self, element: usize, point: Vec3) -> [f32; 2] {
         let [a, b, c] = *self.kernel.corners(element as u32);

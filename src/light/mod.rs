@@ -1,6 +1,7 @@
 //! Light: the ray kernel, lamps, direct light, its mean over a camera's pixels, and the transport of bounces.
 
 mod depth;
+mod divide;
 mod elements;
 mod emitter;
 mod film;

@@ -62,13 +62,10 @@ impl Transport {
         progress: &Progress,
     ) -> Result<Vec<f64>, Cancelled> {
         let (mut exitance, mut changes) = (vec![0.0f32; irradiance.len()], vec![]);
-        let mut before = vec![0.0f32; irradiance.len()];
         while changes.len() < most {
             progress.check()?;
             emit(irradiance, &mut exitance);
-            before.copy_from_slice(irradiance);
-            self.gather(&exitance, width, irradiance);
-            let change = relative_change(&before, irradiance);
+            let change = self.gather(&exitance, width, irradiance);
             changes.push(change);
             if change < tolerance {
                 break;
@@ -77,54 +74,52 @@ impl Transport {
         Ok(changes)
     }
 
-    /// One bounce: irradiance on every patch from `exitance` = rho E of all others; `views` values a colour
-    /// channel triple are laid side by side (`exitance[patch * width + i]`).
-    pub fn gather(&self, exitance: &[f32], width: usize, out: &mut [f32]) {
+    /// One bounce: irradiance on every patch from `exitance` = rho E of all others; `width` values a patch (views and
+    /// their colours) are laid side by side (`exitance[patch * width + i]`). Gives the sum of |change| of `out` over the
+    /// sum of what is there now.
+    pub fn gather(&self, exitance: &[f32], width: usize, out: &mut [f32]) -> f64 {
         let scale = 1.0 / self.rays as f32;
-        out.par_chunks_mut(width).zip(self.met.par_chunks(self.rays)).for_each(|(sum, met)| {
-            sum.fill(0.0);
-            // Sorted: a patch that is met often is read once.
-            for run in met.chunk_by(|a, b| a == b).filter(|run| run[0] != NOTHING) {
-                let (other, times) = (run[0] as usize, run.len() as f32);
-                let from = &exitance[other * width..(other + 1) * width];
-                for (s, x) in sum.iter_mut().zip(from) {
-                    *s += times * x;
+        // Tile by tile, so that the sums do not depend on threads.
+        let tiles = out.par_chunks_mut(width * TILE).zip(self.met.par_chunks(self.rays * TILE));
+        let changes: Vec<(f64, f64)> = tiles
+            .map(|(out, met)| {
+                let (mut off, mut all, mut sum) = (0.0, 0.0, vec![0.0f32; width]);
+                for (out, met) in out.chunks_mut(width).zip(met.chunks(self.rays)) {
+                    sum.fill(0.0);
+                    // Sorted: a patch that is met often is read once.
+                    for run in met.chunk_by(|a, b| a == b).filter(|run| run[0] != NOTHING) {
+                        let (other, times) = (run[0] as usize, run.len() as f32);
+                        let from = &exitance[other * width..(other + 1) * width];
+                        for (s, x) in sum.iter_mut().zip(from) {
+                            *s += times * x;
+                        }
+                    }
+                    for (out, s) in out.iter_mut().zip(&sum) {
+                        let now = scale * s;
+                        off += f64::from((now - *out).abs());
+                        all += f64::from(now.abs());
+                        *out = now;
+                    }
                 }
-            }
-            for s in sum.iter_mut() {
-                *s *= scale;
-            }
-        });
+                (off, all)
+            })
+            .collect();
+        let (off, all) = changes.iter().fold((0.0, 0.0), |sum, tile| (sum.0 + tile.0, sum.1 + tile.1));
+        if all > 0.0 { off / all } else { 0.0 }
     }
-}
-
-/// Sum of |difference| over sum of what is there now; tile by tile, so that it does not depend on threads.
-fn relative_change(before: &[f32], now: &[f32]) -> f64 {
-    let tiles: Vec<(f64, f64)> = before
-        .par_chunks(1 << 16)
-        .zip(now.par_chunks(1 << 16))
-        .map(|(b, n)| {
-            let pairs = b.iter().zip(n).map(|(b, n)| (f64::from(*b), f64::from(*n)));
-            pairs.fold((0.0, 0.0), |(off, all), (b, n)| (off + (n - b).abs(), all + n.abs()))
-        })
-        .collect();
-    let (off, all) = tiles.iter().fold((0.0, 0.0), |sum, tile| (sum.0 + tile.0, sum.1 + tile.1));
-    if all > 0.0 { off / all } else { 0.0 }
 }
 
 fn gather(elements: &Elements, patches: &Patches, patch: usize, row: &mut [u32]) {
     let shift: [f32; 5] = std::array::from_fn(|d| hashed(patch as u32, d as u32));
     for (i, met) in row.iter_mut().enumerate() {
         let s: [f32; 5] = std::array::from_fn(|d| (shift[d] + (i as f32 + 0.5) * KRONECKER[d]).fract());
-        let element = patches.element_at(elements, patch, s[4]);
+        let element = patches.element_at(patch, s[4]);
         let normal = elements.normal(element);
         if normal == Vec3::ZERO {
             continue;
         }
         let corners = *elements.kernel().corners(element as u32);
-        let size = (corners[1] - corners[0]).length().max((corners[2] - corners[0]).length());
-        let scale = corners[0].abs().max_element().max(size);
-        let lift = normal * (1e-5 * scale + 1e-3 * size);
+        let lift = elements.lift(element);
         let (radius, angle) = (s[0].sqrt(), TAU * s[1]);
         let local = Vec3::new(radius * angle.cos(), radius * angle.sin(), (1.0 - s[0]).max(0.0).sqrt());
         let (mut u, mut v) = (s[2], s[3]);

@@ -41,7 +41,8 @@ pub(super) fn texture_size(
     let one = matched.iter().map(|(_, camera)| pixels(camera)).fold(0.0, f64::max);
     let fits = |size: usize| {
         let piece = (all * OBSERVED * pieces::PIXEL).min(options.memory());
-        let needs = ((size * size) as f64 * TEXEL + one * PIXEL + piece) / 1e9;
+        let bounces = Stage::bounce_memory(matched.len());
+        let needs = ((size * size) as f64 * TEXEL + one * PIXEL + piece + bounces) / 1e9;
         let has = free() / 1e9;
         if needs < has { Ok(size) } else { Err(ProcessError::Memory { size, needs, has }) }
     };
@@ -69,10 +70,10 @@ fn free() -> f64 {
 }
 
 /// The scene made ready for light: meshes face the cameras that see them. Gives the names of those turned.
-pub(super) fn stage(scene: &mut Scene) -> (Stage, Vec<String>) {
-    let stage = Stage::build(&scene.meshes);
+pub(super) fn stage(scene: &mut Scene, views: usize) -> (Stage, Vec<String>) {
+    let stage = Stage::build(&scene.meshes, views);
     let turned = face_cameras(&mut scene.meshes, &stage.elements, &scene.cameras);
-    if turned.is_empty() { (stage, turned) } else { (Stage::build(&scene.meshes), turned) }
+    if turned.is_empty() { (stage, turned) } else { (Stage::build(&scene.meshes, views), turned) }
 }
 
 /// Solves the texture: it, the names of the meshes that were turned to face the cameras, and what it cost. `key` is
@@ -86,7 +87,7 @@ pub(super) fn solve(
     progress: &Progress,
 ) -> Result<(Texture, Vec<String>, Costs), ProcessError> {
     let mut costs = Costs::begin();
-    let (stage, turned) = stage(scene);
+    let (stage, turned) = stage(scene, inputs.matched.len());
     costs.done("scene and ray kernel");
     let mut solver = Solver::new(&scene.meshes, &stage, size)?;
     let count = inputs.matched.len();

@@ -14,7 +14,7 @@ use super::solve::stage;
 use crate::codec::exr_image::{self, Meta};
 use crate::photometry::demosaic;
 use crate::progress::Progress;
-use crate::reflectance::bounce::simulate;
+use crate::reflectance::bounce::{sent_on, simulate};
 use crate::reflectance::maps::{own_look, view_maps};
 use crate::reflectance::project::Surroundings;
 use crate::reflectance::projection::Projection;
@@ -84,7 +84,7 @@ pub(super) fn make(
         return Ok((0, standing));
     }
     let mut scene = inputs.scene.clone();
-    let (stage, _) = stage(&mut scene);
+    let (stage, _) = stage(&mut scene, inputs.matched.len());
     let transport = stage.transport(progress)?;
     let rho = patches(session)?;
     if rho.len() != stage.patches.len() {
@@ -94,10 +94,7 @@ pub(super) fn make(
     let sent: Vec<[f32; 3]> = rho
         .iter()
         .enumerate()
-        .map(|(p, rho)| {
-            let gloss = summary.gloss.get(stage.patches.mesh_of(p)).copied().flatten();
-            rho.map(|r| r + gloss.map_or(0.0, |lobe| lobe.sent_on()))
-        })
+        .map(|(p, rho)| sent_on(*rho, summary.gloss.get(stage.patches.mesh_of(p)).copied().flatten()))
         .collect();
     let (texels, size) = texels(session)?;
     let Some(around) = Surroundings::new(&scene.meshes, &stage, &rho, &summary.gloss, size) else {

@@ -55,7 +55,7 @@ const MOST_OVERLAP: f64 = 0.02;
 
 /// Lays the triangles out in a texture of `size` x `size`: all texels whose centre lies in a triangle, and
 /// those within a texel of one, which bilinear look-ups at the chart's border read; these stand for the
-/// nearest point of their triangle.
+/// nearest point of their triangle. In the order of texels.
 pub fn lay_out(mesh: &Mesh, size: usize) -> Result<Vec<TexelPoint>, AtlasError> {
     if mesh.uv_triangles.len() != mesh.triangles.len() || mesh.triangles.is_empty() {
         return Err(AtlasError::NoUvs(mesh.name.clone()));

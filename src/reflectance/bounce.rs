@@ -107,6 +107,7 @@ impl Bounces {
             state.iterate(patches, transport, views, &seen, progress)?;
         }
         state.shares = state.shares(views);
+        state.mirrored = vec![];
         Ok(state)
     }
 
@@ -243,16 +244,13 @@ impl Bounces {
     /// Exitance rho (D + E) of every patch for every view.
     fn emit(&self, patches: &Patches, views: &[ViewLight], irradiance: &[f32], exitance: &mut [f32]) {
         let width = 3 * self.views;
-        let gloss: Vec<f32> = self.gloss.iter().map(|g| g.map_or(0.0, |lobe| lobe.sent_on())).collect();
         exitance.par_chunks_mut(width).zip(irradiance.par_chunks(width)).enumerate().for_each(
             |(e, (out, bounced))| {
+                let sent = sent_on(self.rho[e], self.gloss[patches.mesh_of(e)]);
                 for (v, view) in views.iter().enumerate() {
                     for c in 0..3 {
-                        // What a gloss throws on others goes all ways on the whole, as from paint.
-                        let sent = self.rho[e][c] + gloss[patches.mesh_of(e)];
-                        let rho = sent.clamp(0.0, MOST_REFLECTANCE);
                         let light = view.direct[e] * view.radiance[c] as f32 + bounced[3 * v + c];
-                        out[3 * v + c] = rho * light;
+                        out[3 * v + c] = sent[c] * light;
                     }
                 }
             },
@@ -296,8 +294,14 @@ impl Bounces {
     }
 }
 
+/// Share of its light that a patch of reflectance `rho` sends on: its paint's, and what a gloss throws on others, which
+/// goes all ways on the whole, as from paint.
+pub fn sent_on(rho: [f32; 3], gloss: Option<Lobe>) -> [f32; 3] {
+    rho.map(|rho| (rho + gloss.map_or(0.0, |lobe| lobe.weight)).clamp(0.0, MOST_REFLECTANCE))
+}
+
 /// Irradiance by bounces (DN) on every patch in one view's light, for patches of which it is known already what
-/// share of their light they send on: `rho` and the gloss's [`Lobe::sent_on`].
+/// share of their light they send on ([`sent_on`]).
 pub fn simulate(
     transport: &Transport,
     direct: &[f32],
@@ -343,20 +347,18 @@ impl Seen {
 }
 
 fn by_patch(patches: usize, views: &[ViewLight]) -> Seen {
-    let mut all: Vec<(u32, u16, Observation)> = views
-        .iter()
-        .enumerate()
-        .flat_map(|(v, view)| view.seen.iter().map(move |(e, o)| (*e, v as u16, *o)))
-        .collect();
-    all.sort_by_key(|(e, v, _)| (*e, *v));
     let mut starts = vec![0u32; patches + 1];
-    for (e, _, _) in &all {
-        starts[*e as usize + 1] += 1;
+    let observed =
+        || views.iter().enumerate().flat_map(|(v, view)| view.seen.iter().map(move |s| (v as u16, s)));
+    observed().for_each(|(_, (p, _))| starts[*p as usize + 1] += 1);
+    (0..patches).for_each(|p| starts[p + 1] += starts[p]);
+    let (mut next, mut list) = (starts.clone(), vec![(0, Observation::default()); starts[patches] as usize]);
+    for (v, (p, o)) in observed() {
+        let next = &mut next[*p as usize];
+        list[*next as usize] = (v, *o);
+        *next += 1;
     }
-    for e in 0..patches {
-        starts[e + 1] += starts[e];
-    }
-    Seen { starts, list: all.into_iter().map(|(_, v, o)| (v, o)).collect() }
+    Seen { starts, list }
 }
 
 fn mean_change(patches: &Patches, seen: &Seen, before: &[[f32; 3]], after: &[[f32; 3]]) -> f64 {

@@ -60,9 +60,7 @@ fn of_element(
     if facing <= 0.0 {
         return sum;
     }
-    let [a, b, c] = *elements.kernel().corners(e as u32);
-    let size = (b - a).length().max((c - a).length());
-    let start = centre + normal * (1e-5 * centre.abs().max_element().max(size) + 1e-3 * size);
+    let start = centre + elements.lift(e);
     let (side, other) = normal.any_orthonormal_pair();
     // A shift of its own for every element, so that what one misses another finds.
     let shift = (e as f64 * 0.618_033_988_749_895).fract();

@@ -29,7 +29,7 @@ pub struct Lamp {
 }
 
 /// What one view tells of one surface point.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Observation {
     /// Known light read, DN.
     pub known: [f32; 3],

@@ -105,7 +105,7 @@ mod tests {
             ..Mesh::default()
         };
         let elements = Elements::build(&[&mesh], &[0.02]);
-        let patches = Patches::build(&elements, &[0.05]);
+        let patches = Patches::build(&elements, &[0.05], 120_000);
         let look = Observation {
             known: [0.0; 3],
             variance: [1.0; 3],

@@ -13,6 +13,7 @@
 //! demosaiced. The transpose of the same function carries residuals back to the texels. (Irani and Peleg, "Improving
 //! resolution by image registration", 1991, for the idea of solving in the scene for what blurred images show.)
 
+use super::bounce::sent_on;
 use super::mirror::mirrored;
 use super::observe::{GRAZING, Illumination};
 use super::projection::{Projection, Ray, Site, WIDEST_BLUR, Window};
@@ -294,13 +295,13 @@ impl Surroundings<'_> {
             .into_par_iter()
             .map(|p| {
                 let mut sum = ([0.0f32; 3], 0.0);
-                let gloss = self.gloss[stage.patches.mesh_of(p)].map_or(0.0, |lobe| lobe.weight);
                 for e in stage.patches.spots(p) {
                     let direct = light.direct(elements.centroid(e), elements.normal(e));
+                    let rho = interpolate(&self.rho[e], [1.0 / 3.0; 2]);
+                    let sent = sent_on(rho, self.gloss[stage.patches.mesh_of(p)]);
                     for c in 0..3 {
-                        let rho = self.rho[e].iter().map(|corner| corner[c]).sum::<f32>() / 3.0 + gloss;
                         let lit = (direct * light.lamp().radiance[c]) as f32 + bounced[p][c];
-                        sum.0[c] += rho.clamp(0.0, 1.0) * lit;
+                        sum.0[c] += sent[c] * lit;
                     }
                     sum.1 += 1.0;
                 }

@@ -74,11 +74,6 @@ impl Lobe {
         self.weight * shape(self.alpha, facing)
     }
 
-    /// Share of bounced light that the lobe sends on: all ways on the whole, as from paint.
-    pub fn sent_on(&self) -> f32 {
-        self.weight
-    }
-
     /// What the lobe sends to the camera where white would send `direct` by the flash, and `mirrored` is what the lobe
     /// mirrors of other surfaces.
     pub fn sent(&self, facing: f32, direct: f32, mirrored: f32) -> f32 {

@@ -15,6 +15,12 @@ const OTHER_EDGE: f32 = 0.04;
 const OBJECT_PATCH: f32 = 0.012;
 const OTHER_PATCH: f32 = 0.08;
 
+/// Most patches, and memory that the bounced light on them may take, bytes, of which a patch takes so many for each
+/// view: with very many views there are fewer, so that memory does not grow with their number.
+const MOST_PATCHES: usize = 120_000;
+const BOUNCE_MEMORY: usize = 2_000_000_000;
+const PATCH_VIEW: usize = 100;
+
 /// Distance by which rays start off the surface, relative to the object's diagonal.
 const OFFSET: f64 = 1e-4;
 
@@ -33,15 +39,22 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// Cuts the meshes into elements and groups these; the first mesh is the object and sets the scale.
-    pub fn build(meshes: &[Mesh]) -> Self {
+    /// Cuts the meshes into elements and groups these; the first mesh is the object and sets the scale. `views` are to be
+    /// looked at together.
+    pub fn build(meshes: &[Mesh], views: usize) -> Self {
         let diagonal = meshes.first().map_or(1.0, diagonal).max(1e-6);
         let sizes = |object: f32, other: f32| -> Vec<f32> {
             (0..meshes.len()).map(|i| diagonal * if i == 0 { object } else { other }).collect()
         };
         let elements = Elements::build(&meshes.iter().collect::<Vec<_>>(), &sizes(OBJECT_EDGE, OTHER_EDGE));
-        let patches = Patches::build(&elements, &sizes(OBJECT_PATCH, OTHER_PATCH));
+        let most = most_patches(views);
+        let patches = Patches::build(&elements, &sizes(OBJECT_PATCH, OTHER_PATCH), most);
         Self { elements, patches, offset: OFFSET * f64::from(diagonal) }
+    }
+
+    /// Bytes that bounced light takes at most for so many views.
+    pub fn bounce_memory(views: usize) -> f64 {
+        (most_patches(views) * PATCH_VIEW * views) as f64
     }
 
     /// Traces the bounces' transport.
@@ -86,6 +99,10 @@ impl Stage {
     pub fn smooth(&self, values: &[[f32; 3]]) -> Vec<[[f32; 3]; 3]> {
         self.patches.smooth(&self.elements, values)
     }
+}
+
+fn most_patches(views: usize) -> usize {
+    MOST_PATCHES.min(BOUNCE_MEMORY / (PATCH_VIEW * views.max(1)))
 }
 
 fn diagonal(mesh: &Mesh) -> f32 {

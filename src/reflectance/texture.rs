@@ -212,6 +212,7 @@ fn start(stage: &Stage, bounces: &Bounces, points: &[TexelPoint], size: usize) -
 pub struct Settled<'a> {
     stage: &'a Stage,
     size: usize,
+    /// In the order of texels.
     points: Vec<TexelPoint>,
     around: Surroundings<'a>,
     bounces: Bounces,
@@ -299,8 +300,9 @@ impl Settled<'_> {
             ((y / CELL) * self.size.div_ceil(CELL) + x / CELL) as u32
         };
         let mut owned: BTreeMap<u32, usize> = BTreeMap::new();
-        for p in &self.points {
-            let Ok(number) = ground.texels.binary_search(&p.texel) else { continue };
+        for (number, texel) in ground.texels.iter().enumerate() {
+            let Ok(place) = self.points.binary_search_by_key(texel, |p| p.texel) else { continue };
+            let p = &self.points[place];
             let (element, _) = self.stage.elements.locate(0, p.triangle as usize, p.u, p.v);
             let patch = self.stage.patches.of(element);
             if own[patch] && joint.spoken[number] {

@@ -34,7 +34,7 @@ const THESIS_NONE: [[f64; 2]; 2] = [[34.2450, 39.4582], [7.1200, 26.0751]];
 
 pub(super) fn gi(options: Options, progress: &Progress) -> Result<Outcome, ExperimentError> {
     let lab = Lab::new(Setting { floor: 1.2, varnish: None, bounces: true });
-    let stage = Stage::build(lab.meshes());
+    let stage = Stage::build(lab.meshes(), 1);
     let transport = stage.transport(progress)?;
     let stored = lab::stored(progress)?;
     let bits = if options.quick { vec![8] } else { vec![8, 14] };

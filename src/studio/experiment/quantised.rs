@@ -51,7 +51,7 @@ enum Pixel {
 
 fn looks(pixel: Pixel, options: Options, progress: &Progress) -> Result<Vec<Look>, ExperimentError> {
     let lab = Lab::new(Setting { floor: FLOOR, varnish: None, bounces: false });
-    let stage = Stage::build(lab.meshes());
+    let stage = Stage::build(lab.meshes(), 1);
     let cameras = lab::studio_cameras();
     let stops = if options.quick { &STOPS[1..] } else { &STOPS };
     let mut looks = vec![];
@@ -59,7 +59,7 @@ fn looks(pixel: Pixel, options: Options, progress: &Progress) -> Result<Vec<Look
         let camera = &cameras[stop - 1];
         let shot = match (pixel, options.quick) {
             (Pixel::Spot, true) => lab.shoot_spots(camera, 256, options.seed, progress)?,
-            (Pixel::Spot, false) => lab.shoot_spots(camera, 512, options.seed, progress)?,
+            (Pixel::Spot, false) => lab.shoot_spots(camera, 1024, options.seed, progress)?,
             (Pixel::Square, true) => lab.shoot(camera, (32, 8), options.seed, progress)?,
             (Pixel::Square, false) => lab.shoot(camera, (256, 64), options.seed, progress)?,
         };
