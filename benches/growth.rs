@@ -1,10 +1,11 @@
 //! What `process` costs as views, pixels, texels and triangles grow, and what 104 pairs of 50 megapixels would take:
 //! processor seconds by stage and peak memory, on the birdbath's files made larger.
 //!
-//!     cargo bench --profile dev --bench growth [-- PLOT.svg]
+//!     cargo bench --profile dev --bench growth [-- PLOT.svg] [-- views] [-- megapixels] [-- texels] [-- triangles] [-- large]
 //!
-//! Larger photographs are the birdbath's with every 2x2 tile of the filter array repeated: the same scene at finer
-//! sampling, without finer detail. Larger meshes have every triangle cut into four.
+//! Without a name all are run. `large` is up to three views of 54 megapixels,
+//! with pieces of 2 and of 1 GB: half an hour on two cores. Larger photographs are the birdbath's, interpolated and given noise of
+//! their own: the same scene at finer sampling, without finer detail. Larger meshes have every triangle cut into four.
 
 #![allow(
     clippy::unwrap_used,
@@ -19,6 +20,8 @@ mod processes;
 mod samples;
 
 use processes::{forget_peak, peak_kilobytes};
+use rand::SeedableRng;
+use rand_distr::{Distribution, Normal};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -39,14 +42,25 @@ struct Job {
     texels: usize,
     /// How often every triangle is cut into four.
     cuts: usize,
+    /// Memory for the views of one piece, GB.
+    memory: f64,
 }
 
-const USUAL: Job = Job { views: 24, pixels: 1, texels: 1024, cuts: 0 };
+const USUAL: Job = Job { views: 24, pixels: 1, texels: 1024, cuts: 0, memory: 2.0 };
+const LARGE: Job = Job { views: 3, pixels: 15, texels: 8192, cuts: 0, memory: 2.0 };
+
+/// The birdbath's sensor: variance per DN of light, and noise in the dark, DN.
+const GAIN: f32 = 0.295;
+const FLOOR: f32 = 1.61;
 
 /// What it took.
 struct Cost {
     stages: Vec<(String, f64)>,
     gigabytes: f64,
+    pieces: usize,
+    looks: usize,
+    /// Views that went in: of enlarged ones, which are blurred, `import` may call some moved.
+    used: usize,
 }
 
 impl Cost {
@@ -61,10 +75,13 @@ impl Cost {
 
 fn main() {
     let folder = tempfile::tempdir().unwrap();
+    let asked: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
+    let (plots_to, names): (Vec<_>, Vec<_>) = asked.iter().partition(|a| a.ends_with(".svg"));
+    let wanted = |name: &str| names.is_empty() || names.iter().any(|n| name.contains(n.as_str()));
     let mut plots = vec![];
     let series: [(&str, Vec<(f64, Job)>); 4] = [
         ("views", [6, 12, 24].map(|n| (n as f64, Job { views: n, ..USUAL })).into()),
-        ("megapixels a view", [1, 2, 3].map(|k| (0.24 * (k * k) as f64, Job { pixels: k, ..USUAL })).into()),
+        ("megapixels", [1, 2, 3].map(|k| (0.24 * (k * k) as f64, Job { pixels: k, ..USUAL })).into()),
         (
             "million texels",
             [512, 1024, 2048].map(|n| ((n * n) as f64 / 1e6, Job { texels: n, ..USUAL })).into(),
@@ -74,59 +91,93 @@ fn main() {
             [0, 1, 2].map(|n| (122.6 * 4f64.powi(n), Job { cuts: n as usize, ..USUAL })).into(),
         ),
     ];
-    let mut by_pixels = vec![];
-    for (what, jobs) in series {
-        println!(
-            "{what:>20} {:>9} {:>7} {:>8} {:>7} {:>7} {:>8} {:>7} {:>6}",
-            "scene", "first", "bounces", "second", "texels", "writing", "all s", "GB"
-        );
+    for (what, jobs) in series.into_iter().filter(|(what, _)| wanted(what)) {
+        heading(what);
         let mut points = vec![];
         for (amount, job) in jobs {
-            let cost = run(folder.path(), job);
-            let [scene, first, bounces, second, texels, writing] =
-                ["scene", "first", "bounces", "second", "texels", "writing"].map(|s| cost.of(s));
-            println!(
-                "{amount:>20.2} {scene:>9.1} {first:>7.1} {bounces:>8.1} {second:>7.1} {texels:>7.1} {writing:>8.1} {:>7.1} {:>6.2}",
-                cost.all(),
-                cost.gigabytes
-            );
+            let cost = told(amount, run(folder.path(), job));
+            let amount = if what == "megapixels" { amount * cost.used as f64 } else { amount };
             points.push((amount, cost.all()));
-            if what.starts_with("mega") {
-                by_pixels.push((amount * 1e6 * job.views as f64, cost));
-            }
         }
         plots.push((what, points));
     }
-    estimate(&by_pixels);
-    if let Some(path) = std::env::args().skip(1).find(|a| a.ends_with(".svg")) {
+    if wanted("large") {
+        heading("large, GB a piece");
+        let [two, one] = [2.0, 1.0].map(|memory| told(memory, run(folder.path(), Job { memory, ..LARGE })));
+        estimate(&two, &one);
+    }
+    if let Some(path) = plots_to.first().filter(|_| !plots.is_empty()) {
         std::fs::write(path, plot(&plots)).unwrap();
     }
 }
 
-/// 104 pairs of 50.6 megapixels from the cost by pixel between the least and the largest photographs here.
-fn estimate(runs: &[(f64, Cost)]) {
-    let (Some((few, small)), Some((many, large))) = (runs.first(), runs.last()) else { return };
-    let rate = |stage: &str| (large.of(stage) - small.of(stage)).max(0.0) / (many - few);
-    let all = 104.0 * 50.6e6;
-    // The texture's pieces look at raws again: about four in ten views see each.
-    let pieces: f64 = all * 0.22 * 200.0 / 2e9;
-    let [first, second, texels] = ["first", "second", "texels"].map(|s| rate(s) * all / 3600.0);
-    let again = rate("first") * all / 3600.0 * (0.4 * pieces - 1.0);
+fn heading(what: &str) {
     println!(
-        "104 pairs of 50.6 MP, a fifth of each the object, in {pieces:.0} pieces: first look {first:.1}, bounces {:.1}, second look {second:.1}, raws again {again:.1}, texels {texels:.1} CPU-hours",
-        small.of("bounces") * 104.0 / 24.0 / 3600.0
+        "{what:>20} {:>9} {:>7} {:>8} {:>7} {:>7} {:>8} {:>7} {:>6} {:>6} {:>6} {:>6}",
+        "scene", "first", "bounces", "second", "texels", "writing", "all s", "GB", "pieces", "looks", "used"
     );
-    println!("  together {:.1} hours on two cores", (first + second + again + texels) / 2.0);
+}
+
+fn told(amount: f64, cost: Cost) -> Cost {
+    let [scene, first, bounces, second, texels, writing] =
+        ["scene", "first", "bounces", "second", "texels", "writing"].map(|s| cost.of(s));
+    println!(
+        "{amount:>20.2} {scene:>9.1} {first:>7.1} {bounces:>8.1} {second:>7.1} {texels:>7.1} {writing:>8.1} {:>7.1} {:>6.2} {:>6} {:>6} {:>6}",
+        cost.all(),
+        cost.gigabytes,
+        cost.pieces,
+        cost.looks,
+        cost.used,
+    );
+    cost
+}
+
+/// 104 pairs of 50.6 megapixels, from a few large ones solved in fewer and in more pieces. A first look costs by the
+/// view, a second one by the look and by the pixels that show the object, texels by those pixels. Pieces of the same
+/// memory show so many pixels, however many views share them.
+fn estimate(few: &Cost, many: &Cost) {
+    let (views, pixels) = (few.used as f64, (600 * 400 * LARGE.pixels * LARGE.pixels) as f64);
+    let more = 104.0 * 50.6e6 / (views * pixels);
+    let a_look = (many.of("second") - few.of("second")) / (many.looks as f64 - few.looks as f64);
+    let by_pixels = few.of("second") - a_look * few.looks as f64;
+    let seen = few.looks as f64 / few.pieces as f64 / views;
+    let pieces = few.pieces as f64 * more;
+    let looks = pieces * seen * 104.0;
+    let hours = |seconds: f64| seconds / 3600.0;
+    let parts = [
+        ("first look", few.of("first") * more),
+        ("bounces", few.of("bounces") * 104.0 / views),
+        ("raws again", a_look * looks),
+        ("second look", by_pixels * more),
+        ("texels", few.of("texels") * more),
+        ("writing", few.of("writing")),
+    ];
+    println!("104 pairs of 50.6 MP in {pieces:.0} pieces, {looks:.0} looks of {a_look:.1} CPU-s:");
+    for (name, seconds) in parts {
+        println!("  {name:<12} {:>6.2} CPU-hours", hours(seconds));
+    }
+    let all: f64 = parts.iter().map(|p| p.1).sum();
+    println!("  together {:.1} CPU-hours, {:.1} hours on two cores", hours(all), hours(all) / 2.0);
 }
 
 fn run(folder: &Path, job: Job) -> Cost {
     let session = prepared(folder, job);
     forget_peak();
-    let options = ProcessOptions { texture_size: Some(job.texels), ..ProcessOptions::default() };
+    let options = ProcessOptions {
+        texture_size: Some(job.texels),
+        memory: Some(job.memory),
+        ..ProcessOptions::default()
+    };
     let summary = process(&Session::open(&session).unwrap(), &options, &Progress::silent()).unwrap();
     let gigabytes = peak_kilobytes("self").unwrap() as f64 / 1e6;
     std::fs::remove_dir_all(&session).unwrap();
-    Cost { stages: summary.costs.into_iter().map(|c| (c.stage, c.cpu)).collect(), gigabytes }
+    Cost {
+        stages: summary.costs.into_iter().map(|c| (c.stage, c.cpu)).collect(),
+        gigabytes,
+        pieces: summary.pieces,
+        looks: summary.looks,
+        used: summary.used.len(),
+    }
 }
 
 fn file(path: &str) -> PathBuf {
@@ -135,7 +186,9 @@ fn file(path: &str) -> PathBuf {
 
 fn unlit(arguments: &[&str]) {
     let output = Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap();
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    let told = [&output.stdout, &output.stderr].map(|b| String::from_utf8_lossy(b));
+    // 3: some pairs were rejected.
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{arguments:?}: {told:?}");
 }
 
 /// A session with as many and as large photographs and as fine a mesh as the job asks for.
@@ -145,10 +198,12 @@ fn prepared(folder: &Path, job: Job) -> PathBuf {
         let to = folder.join(side);
         let _ = std::fs::remove_dir_all(&to);
         std::fs::create_dir(&to).unwrap();
-        for view in (0..24).step_by(24 / job.views) {
-            let name = format!("{view:03}.dng");
-            enlarge(&file(&format!("photos/{side}/{name}")), &to.join(&name), job.pixels);
-        }
+    }
+    for view in (0..24).step_by(24 / job.views) {
+        let name = format!("{view:03}.dng");
+        let files =
+            ["off", "on"].map(|side| (file(&format!("photos/{side}/{name}")), folder.join(side).join(&name)));
+        enlarge(&files, job.pixels);
     }
     let cameras = std::fs::read_to_string(file("geometry/cameras.xml")).unwrap();
     let k = job.pixels;
@@ -192,18 +247,58 @@ fn prepared(folder: &Path, job: Job) -> PathBuf {
     session
 }
 
-/// The raw file with every 2x2 tile repeated `k` times each way.
-fn enlarge(from: &Path, to: &Path, k: usize) {
+/// An unlit and a lit raw file `k` times as wide: each colour's sites, freed of much of their noise by the mean over
+/// 5x5 of them, are interpolated, and get noise of their own. The lit one is nowhere darker than the unlit one, which
+/// what is left of the old noise, now in large blots, would make it.
+fn enlarge(files: &[(PathBuf, PathBuf); 2], k: usize) {
     if k == 1 {
-        std::fs::copy(from, to).unwrap();
+        for (from, to) in files {
+            std::fs::copy(from, to).unwrap();
+        }
         return;
     }
-    let mut photo = raw::read(from).unwrap();
-    let old = photo.mosaic.dn.clone();
-    let source = |i: usize| i / 2 / k * 2 + i % 2;
-    photo.mosaic.dn = Image::from_fn(old.width() * k, old.height() * k, |x, y| *old.at(source(x), source(y)));
-    let content = DngContent { mosaic: &photo.mosaic, settings: &photo.settings, masked_left: None };
-    std::fs::write(to, dng::encode(&content).unwrap()).unwrap();
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(k as u64);
+    let plain = Normal::new(0.0f32, 1.0).unwrap();
+    let mut before: Option<Image<f32>> = None;
+    for (from, to) in files {
+        let mut photo = raw::read(from).unwrap();
+        let mut calm = calmed(&photo.mosaic.dn);
+        if let Some(before) = &before {
+            calm = Image::from_fn(calm.width(), calm.height(), |x, y| calm.at(x, y).max(*before.at(x, y)));
+        }
+        let (width, height) = (calm.width(), calm.height());
+        // The places between two sites of one colour.
+        let split = |i: usize, most: usize| {
+            let at = ((i / 2) as f32 / k as f32).min((most / 2 - 1) as f32);
+            let low = at as usize;
+            (2 * low + i % 2, 2 * (low + 1).min(most / 2 - 1) + i % 2, at - low as f32)
+        };
+        let (black, range) = (photo.mosaic.levels.black, photo.mosaic.levels.saturation);
+        photo.mosaic.dn = Image::from_fn(width * k, height * k, |x, y| {
+            let ((x0, x1, u), (y0, y1, v)) = (split(x, width), split(y, height));
+            let row = |y: usize| (1.0 - u) * calm.at(x0, y) + u * calm.at(x1, y);
+            let value = (1.0 - v) * row(y0) + v * row(y1);
+            let (black, most) = (black[y % 2][x % 2], range[y % 2][x % 2]);
+            let noise = (GAIN * (value - black).max(0.0) + FLOOR * FLOOR).sqrt() * plain.sample(&mut random);
+            (value + noise).round().clamp(0.0, most) as u16
+        });
+        before = Some(calm);
+        let content = DngContent { mosaic: &photo.mosaic, settings: &photo.settings, masked_left: None };
+        std::fs::write(to, dng::encode(&content).unwrap()).unwrap();
+    }
+}
+
+/// The mean over 5x5 sites of one colour.
+fn calmed(dn: &Image<u16>) -> Image<f32> {
+    let beside = |i: usize, step: isize, most: usize| {
+        let (first, last) = ((i % 2) as isize, (most - 2 + i % 2) as isize);
+        (i as isize + 2 * step).clamp(first, last) as usize
+    };
+    Image::from_fn(dn.width(), dn.height(), |x, y| {
+        let steps = (-2..=2).flat_map(|v| (-2..=2).map(move |u| (u, v)));
+        let at = |(u, v)| f32::from(*dn.at(beside(x, u, dn.width()), beside(y, v, dn.height())));
+        steps.map(at).sum::<f32>() / 25.0
+    })
 }
 
 /// The mesh as an OBJ, every triangle cut into four `cuts` times.

@@ -71,6 +71,7 @@ impl Patches {
     }
 
     /// Every element a patch of its own.
+    #[cfg(test)]
     pub fn single(elements: &Elements) -> Self {
         Self::of_groups(elements, (0..elements.len() as u32).map(|e| vec![e]).collect())
     }

@@ -164,8 +164,18 @@ fn score_texture(
         expected: "an RGB texture".into(),
     })?;
     let beside = path.with_file_name("stddev.exr");
-    let deviation = if beside.is_file() { exr_image::read(&beside)?.rgb() } else { None };
-    let deviation = deviation.filter(|d| (d.width(), d.height()) == (texture.width(), texture.height()));
+    let deviation = if beside.is_file() {
+        let (found, size) = (exr_image::read(&beside)?, (texture.width(), texture.height()));
+        let got = (found.width, found.height, found.channels.len());
+        let fits = found.rgb().filter(|_| (got.0, got.1) == size);
+        Some(fits.ok_or_else(|| EvaluateError::Unfit {
+            path: beside.clone(),
+            found: format!("{} x {} pixels of {} channels", got.0, got.1, got.2),
+            expected: format!("RGB of the texture's {} x {}, or no such file", size.0, size.1),
+        })?)
+    } else {
+        None
+    };
     let bare = || EvaluateError::Unfit {
         path: path.to_owned(),
         found: "a texture for a mesh without texture coordinates".into(),

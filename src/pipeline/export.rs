@@ -283,7 +283,7 @@ pub(super) fn provenance(session: &Session, summary: &ProcessSummary) -> Value {
     json!({
         "software": concat!("unlit ", env!("CARGO_PKG_VERSION")),
         "session": session.manifest().name,
-        "made": session.manifest().created,
+        "session_begun": session.manifest().created,
         "pairs": summary.used,
         "left_out": summary.left_out,
         "calibration": store::digest_file(&flash::file(session)).ok(),

@@ -37,6 +37,7 @@ pub(super) fn summarise(inputs: &Inputs, texture: &Texture, size: usize) -> Proc
         rounds: texture.rounds.clone(),
         runs: texture.runs.clone(),
         pieces: texture.pieces,
+        looks: texture.looks,
         gains: inputs
             .matched
             .iter()

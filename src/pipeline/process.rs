@@ -74,6 +74,8 @@ pub struct ProcessSummary {
     pub blur: [f32; 3],
     /// Pieces that the texture was solved in, for want of memory for all views at once.
     pub pieces: usize,
+    /// How often a view was looked at for one of them.
+    pub looks: usize,
     /// What each stage took.
     pub costs: Vec<Cost>,
     /// Gloss found on each mesh of the scene, in its order, and taken off.

@@ -323,6 +323,7 @@ mod tests {
             blur: [0.9; 3],
             gloss: vec![None],
             pieces: 1,
+            looks: 1,
             costs: vec![],
             turned: vec![],
             uv_choice: UvChoice::Auto,

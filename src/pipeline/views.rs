@@ -14,7 +14,7 @@ use super::solve::stage;
 use crate::codec::exr_image::{self, Meta};
 use crate::photometry::demosaic;
 use crate::progress::Progress;
-use crate::reflectance::bounce::{sent_on, simulate};
+use crate::reflectance::bounce::{sent_by, sent_on, simulate};
 use crate::reflectance::maps::{own_look, view_maps};
 use crate::reflectance::project::Surroundings;
 use crate::reflectance::projection::Projection;
@@ -90,11 +90,12 @@ pub(super) fn make(
     if rho.len() != stage.patches.len() {
         return Err(ProcessError::Stale(rho_file));
     }
+    let gloss = sent_by(&summary.gloss);
     // What a patch sends on: its reflectance, and what a gloss adds.
     let sent: Vec<[f32; 3]> = rho
         .iter()
         .enumerate()
-        .map(|(p, rho)| sent_on(*rho, summary.gloss.get(stage.patches.mesh_of(p)).copied().flatten()))
+        .map(|(p, rho)| sent_on(*rho, gloss.get(stage.patches.mesh_of(p)).copied().unwrap_or(0.0)))
         .collect();
     let (texels, size) = texels(session)?;
     let Some(around) = Surroundings::new(&scene.meshes, &stage, &rho, &summary.gloss, size) else {

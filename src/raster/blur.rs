@@ -164,6 +164,33 @@ mod tests {
     }
 
     #[test]
+    fn spots_at_borders_and_corners_come_out_as_by_definition() {
+        // Empty rows and columns lie between spots at every border: sums are left out there, mirrored ends are not.
+        let (width, height, sigma) = (27usize, 24usize, 1.2f32);
+        let spots = [(0, 0), (26, 1), (0, 13), (13, 23), (26, 23), (12, 0)];
+        let image = Image::from_fn(width, height, |x, y| {
+            [spots.iter().position(|s| *s == (x, y)).map_or(0.0, |i| 1.0 + i as f32)]
+        });
+        let blurred = gaussian(&image, sigma);
+        let radius = gaussian_radius(sigma) as isize;
+        let tap = |i: isize| (-0.5 * (i as f64 / f64::from(sigma)).powi(2)).exp();
+        let all: f64 = (-radius..=radius).map(tap).sum();
+        // Half-sample symmetry: ... 1 0 | 0 1 2 ...
+        let inside = |i: isize, n: usize| if i < 0 { -1 - i } else { i.min(2 * n as isize - 1 - i) } as usize;
+        for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+            let mut want = 0.0;
+            for v in -radius..=radius {
+                for u in -radius..=radius {
+                    let at = image.at(inside(x as isize + u, width), inside(y as isize + v, height));
+                    want += tap(u) * tap(v) / (all * all) * f64::from(at[0]);
+                }
+            }
+            let got = f64::from(blurred.at(x, y)[0]);
+            assert!((got - want).abs() < 1e-5, "{got} for {want} at {x}, {y}");
+        }
+    }
+
+    #[test]
     fn a_flat_image_stays_flat_even_when_smaller_than_the_kernel() {
         let flat = Image::filled(3, 2, [0.25_f32, 0.5]);
         for (a, b) in gaussian(&flat, 2.0).pixels().iter().flatten().zip(flat.pixels().iter().flatten()) {

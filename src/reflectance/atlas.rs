@@ -25,7 +25,7 @@ pub struct TexelPoint {
 pub enum AtlasError {
     /// No texture coordinates.
     #[error(
-        "mesh {0} has no texture coordinates: unwrap it in the photogrammetry program and export it with UVs"
+        "mesh {0} has no texture coordinates: process it with --uvs auto to have them made, or export it with UVs from the photogrammetry program"
     )]
     NoUvs(String),
     /// Coordinates outside the unit square.

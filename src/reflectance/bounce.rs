@@ -4,7 +4,7 @@
 //! flash's direct light and T the geometry's transport. White bounces (the thesis) leave the result too dark,
 //! none too bright; with the estimate put back in, both errors shrink round by round.
 
-use super::mirror::mirrored;
+use super::mirror::{many, mirrored};
 use super::observe::Observation;
 use super::robust::{Glint, Lobe};
 use super::solve::{Reading, solve};
@@ -183,7 +183,7 @@ impl Bounces {
             progress.check()?;
             let of_view = |e: usize| [0, 1, 2].map(|c| exitance[e * width + 3 * v + c]);
             let sent: Vec<[f32; 3]> = (0..stage.patches.len()).map(of_view).collect();
-            for (e, light) in mirrored(stage, view.eye, &self.gloss, &sent).into_iter().enumerate() {
+            for (e, light) in mirrored(stage, view.eye, &self.gloss, &sent, many).into_iter().enumerate() {
                 let at = e * width + 3 * v;
                 self.mirrored[at..at + 3].copy_from_slice(&light);
             }
@@ -244,9 +244,10 @@ impl Bounces {
     /// Exitance rho (D + E) of every patch for every view.
     fn emit(&self, patches: &Patches, views: &[ViewLight], irradiance: &[f32], exitance: &mut [f32]) {
         let width = 3 * self.views;
+        let gloss = sent_by(&self.gloss);
         exitance.par_chunks_mut(width).zip(irradiance.par_chunks(width)).enumerate().for_each(
             |(e, (out, bounced))| {
-                let sent = sent_on(self.rho[e], self.gloss[patches.mesh_of(e)]);
+                let sent = sent_on(self.rho[e], gloss[patches.mesh_of(e)]);
                 for (v, view) in views.iter().enumerate() {
                     for c in 0..3 {
                         let light = view.direct[e] * view.radiance[c] as f32 + bounced[3 * v + c];
@@ -294,10 +295,15 @@ impl Bounces {
     }
 }
 
-/// Share of its light that a patch of reflectance `rho` sends on: its paint's, and what a gloss throws on others, which
-/// goes all ways on the whole, as from paint.
-pub fn sent_on(rho: [f32; 3], gloss: Option<Lobe>) -> [f32; 3] {
-    rho.map(|rho| (rho + gloss.map_or(0.0, |lobe| lobe.weight)).clamp(0.0, MOST_REFLECTANCE))
+/// Share of its light that a patch of reflectance `rho` sends on: its paint's, and what a gloss throws on others
+/// ([`Lobe::sends_on`]), which goes all ways on the whole, as from paint.
+pub fn sent_on(rho: [f32; 3], gloss: f32) -> [f32; 3] {
+    rho.map(|rho| (rho + gloss).clamp(0.0, MOST_REFLECTANCE))
+}
+
+/// Share of light that the gloss of each mesh sends on.
+pub fn sent_by(gloss: &[Option<Lobe>]) -> Vec<f32> {
+    gloss.iter().map(|lobe| lobe.map_or(0.0, |lobe| lobe.sends_on())).collect()
 }
 
 /// Irradiance by bounces (DN) on every patch in one view's light, for patches of which it is known already what

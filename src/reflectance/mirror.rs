@@ -12,19 +12,24 @@ use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::TAU;
 
-/// Rays a patch; neighbours are averaged when the result is smoothed.
-const RAYS: usize = 12;
+/// Fewest rays a patch, where neighbours are averaged because the result is smoothed.
+pub(super) const FEW: usize = 12;
+
+/// Rays a patch for a lobe of width 1, where the result tells the lobe's weight: noise in what a weight is fitted to makes
+/// it too small, and a wide lobe gathers more of it.
+const RAYS: f32 = 240.0;
 
 /// Steps of an even spread in two dimensions: powers of 1 / 1.324718, root of x^3 = x + 1.
 const KRONECKER: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053];
 
 /// Mirrored light, DN of irradiance, on every patch whose mesh has a gloss and that faces `eye` (metres, world frame);
-/// 0 elsewhere. `exitance`, DN, is what each patch sends out.
+/// 0 elsewhere. `exitance`, DN, is what each patch sends out; `rays` are how many it takes for a lobe.
 pub(super) fn mirrored(
     stage: &Stage,
     eye: Vec3,
     gloss: &[Option<Lobe>],
     exitance: &[[f32; 3]],
+    rays: impl Fn(&Lobe) -> usize + Sync,
 ) -> Vec<[f32; 3]> {
     let Stage { elements, patches, .. } = stage;
     let met = |element: usize| exitance[patches.of(element)];
@@ -33,7 +38,7 @@ pub(super) fn mirrored(
         .map(|p| match gloss[patches.mesh_of(p)] {
             Some(lobe) => {
                 let spots: Vec<usize> = patches.spots(p).collect();
-                let rays = RAYS.div_ceil(spots.len().max(1));
+                let rays = rays(&lobe).div_ceil(spots.len().max(1));
                 let mut mean = [0.0; 3];
                 for &e in &spots {
                     let light = of_element(elements, e, eye, (lobe.alpha, rays), &met);
@@ -44,6 +49,11 @@ pub(super) fn mirrored(
             None => [0.0; 3],
         })
         .collect()
+}
+
+/// Rays a patch that tell a lobe's weight.
+pub(super) fn many(lobe: &Lobe) -> usize {
+    ((RAYS * lobe.alpha) as usize).max(FEW)
 }
 
 fn of_element(
@@ -115,8 +125,8 @@ mod tests {
             .map(|e| if elements.mesh_of(e) == 1 { [5.0, 2.0, 1.0] } else { [0.0; 3] })
             .collect();
         let gloss = [Some(Lobe { weight: 0.1, alpha: 0.02 }), None];
-        let opposite = mirrored(&stage, Vec3::new(-3.0, 0.0, 3.0), &gloss, &exitance);
-        let away = mirrored(&stage, Vec3::new(9.0, 0.0, 9.0), &gloss, &exitance);
+        let opposite = mirrored(&stage, Vec3::new(-3.0, 0.0, 3.0), &gloss, &exitance, |_| FEW);
+        let away = mirrored(&stage, Vec3::new(9.0, 0.0, 9.0), &gloss, &exitance, |_| FEW);
         let lying: Vec<usize> = (0..elements.len()).filter(|&e| elements.mesh_of(e) == 0).collect();
         let mean = lying.iter().map(|&e| opposite[e][0]).sum::<f32>() / lying.len() as f32;
         // GGX has a long tail: some of it misses the plate.

@@ -13,8 +13,8 @@
 //! demosaiced. The transpose of the same function carries residuals back to the texels. (Irani and Peleg, "Improving
 //! resolution by image registration", 1991, for the idea of solving in the scene for what blurred images show.)
 
-use super::bounce::sent_on;
-use super::mirror::mirrored;
+use super::bounce::{sent_by, sent_on};
+use super::mirror::{FEW, mirrored};
 use super::observe::{GRAZING, Illumination};
 use super::projection::{Projection, Ray, Site, WIDEST_BLUR, Window};
 use super::robust::Lobe;
@@ -290,7 +290,7 @@ impl Surroundings<'_> {
         if self.gloss.iter().all(Option::is_none) {
             return vec![];
         }
-        let (stage, elements) = (self.stage, &self.stage.elements);
+        let (stage, elements, gloss) = (self.stage, &self.stage.elements, sent_by(&self.gloss));
         let exitance: Vec<[f32; 3]> = (0..stage.patches.len())
             .into_par_iter()
             .map(|p| {
@@ -298,7 +298,7 @@ impl Surroundings<'_> {
                 for e in stage.patches.spots(p) {
                     let direct = light.direct(elements.centroid(e), elements.normal(e));
                     let rho = interpolate(&self.rho[e], [1.0 / 3.0; 2]);
-                    let sent = sent_on(rho, self.gloss[stage.patches.mesh_of(p)]);
+                    let sent = sent_on(rho, gloss[stage.patches.mesh_of(p)]);
                     for c in 0..3 {
                         let lit = (direct * light.lamp().radiance[c]) as f32 + bounced[p][c];
                         sum.0[c] += sent[c] * lit;
@@ -308,7 +308,7 @@ impl Surroundings<'_> {
                 sum.0.map(|s| s / f32::max(sum.1, 1.0))
             })
             .collect();
-        stage.smooth(&mirrored(stage, light.camera().centre().as_vec3(), &self.gloss, &exitance))
+        stage.smooth(&mirrored(stage, light.camera().centre().as_vec3(), &self.gloss, &exitance, |_| FEW))
     }
 
     fn meet(&self, camera: &Camera, pixel: DVec2) -> Option<Met> {

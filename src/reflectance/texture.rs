@@ -65,6 +65,8 @@ pub struct Texture {
     pub runs: Vec<Run>,
     /// Parts that the texture was solved in.
     pub pieces: usize,
+    /// How often a view was looked at for one of them.
+    pub looks: usize,
     /// Energy of each view's pulse, as the texture and its measurement tell.
     pub gains: Vec<FlashGain>,
     /// Standard deviation of the lens's blur by channel, pixels.
@@ -365,6 +367,7 @@ impl Settled<'_> {
             rounds,
             runs: self.runs,
             pieces: self.pieces.len(),
+            looks: self.pieces.iter().map(|p| p.views.iter().filter(|sees| **sees).count()).sum(),
             gains,
             blur: self.blur.unwrap_or_default(),
             bounces: self.bounces,
