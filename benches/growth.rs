@@ -30,6 +30,7 @@ use unlit::codec::raw;
 use unlit::pipeline::process::{ProcessOptions, process};
 use unlit::progress::Progress;
 use unlit::raster::Image;
+use unlit::reflectance::stage::Stage;
 use unlit::scene::read_obj;
 use unlit::session::Session;
 
@@ -138,6 +139,7 @@ fn told(amount: f64, cost: Cost) -> Cost {
 fn estimate(few: &Cost, many: &Cost) {
     let (views, pixels) = (few.used as f64, (600 * 400 * LARGE.pixels * LARGE.pixels) as f64);
     let more = 104.0 * 50.6e6 / (views * pixels);
+    assert!(many.looks > few.looks, "smaller pieces must need more looks");
     let a_look = (many.of("second") - few.of("second")) / (many.looks as f64 - few.looks as f64);
     let by_pixels = few.of("second") - a_look * few.looks as f64;
     let seen = few.looks as f64 / few.pieces as f64 / views;
@@ -158,6 +160,13 @@ fn estimate(few: &Cost, many: &Cost) {
     }
     let all: f64 = parts.iter().map(|p| p.1).sum();
     println!("  together {:.1} CPU-hours, {:.1} hours on two cores", hours(all), hours(all) / 2.0);
+    let bounces = Stage::bounce_memory(104) - Stage::bounce_memory(few.used);
+    println!(
+        "  {:.1} GB at the most: {:.1} here and {:.1} for the bounces of more views",
+        few.gigabytes + bounces / 1e9,
+        few.gigabytes,
+        bounces / 1e9
+    );
 }
 
 fn run(folder: &Path, job: Job) -> Cost {

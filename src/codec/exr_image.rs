@@ -80,7 +80,7 @@ pub fn write_rgba(path: &Path, image: &Image<[f32; 4]>, meta: &Meta) -> Result<(
 /// Writes one channel, Y.
 pub fn write_grey(path: &Path, image: &Image<f32>, meta: &Meta) -> Result<(), AssetError> {
     let channels = vec![("Y".to_owned(), image.pixels().to_vec())];
-    write(path, &Exr { width: image.width(), height: image.height(), channels, meta: meta.clone() })
+    write(path, Exr { width: image.width(), height: image.height(), channels, meta: meta.clone() })
 }
 
 fn write_planes<const N: usize>(
@@ -94,12 +94,12 @@ fn write_planes<const N: usize>(
         .enumerate()
         .map(|(c, name)| (String::from(*name), image.pixels().iter().map(|p| p[c]).collect()))
         .collect();
-    write(path, &Exr { width: image.width(), height: image.height(), channels, meta: meta.clone() })
+    write(path, Exr { width: image.width(), height: image.height(), channels, meta: meta.clone() })
 }
 
 /// Writes any set of channels. The file is complete when this returns, but is neither synced nor renamed
 /// into place: hand in a temporary path where that matters.
-pub fn write(path: &Path, image: &Exr) -> Result<(), AssetError> {
+pub fn write(path: &Path, image: Exr) -> Result<(), AssetError> {
     let unwritable = |reason: String| AssetError::Unwritable { path: path.into(), reason };
     let size = image.width * image.height;
     if size == 0 || image.channels.is_empty() {
@@ -110,11 +110,11 @@ pub fn write(path: &Path, image: &Exr) -> Result<(), AssetError> {
     }
     let list = image
         .channels
-        .iter()
+        .into_iter()
         .map(|(name, values)| {
-            let name = exr::Text::new_or_none(name)
+            let name = exr::Text::new_or_none(&name)
                 .ok_or_else(|| unwritable(format!("channel name {name:?} is not plain text")))?;
-            Ok(exr::AnyChannel::new(name, exr::FlatSamples::F32(values.clone())))
+            Ok(exr::AnyChannel::new(name, exr::FlatSamples::F32(values)))
         })
         .collect::<Result<_, AssetError>>()?;
     let text = |value: &Option<String>| value.as_deref().and_then(exr::Text::new_or_none);
@@ -240,7 +240,7 @@ mod tests {
             channels: vec![("count".into(), vec![1.0, 7.0]), ("A.known".into(), vec![0.0, 1.0])],
             meta: Meta::default(),
         };
-        write(&path, &named).unwrap();
+        write(&path, named.clone()).unwrap();
         assert_eq!(read(&path).unwrap().channel("count").unwrap(), [1.0, 7.0]);
     }
 
@@ -256,6 +256,6 @@ mod tests {
         }
         assert!(matches!(read(&folder.path().join("none.exr")), Err(AssetError::Io { .. })));
         let empty = Exr { width: 0, height: 0, channels: vec![], meta: Meta::default() };
-        assert!(matches!(write(&path, &empty), Err(AssetError::Unwritable { .. })));
+        assert!(matches!(write(&path, empty), Err(AssetError::Unwritable { .. })));
     }
 }

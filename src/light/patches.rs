@@ -52,7 +52,7 @@ struct Patch {
 
 impl Patches {
     /// Groups `elements`; `sizes[i]` (metres) is the largest cell of mesh `i`. Where that leads to more than `most`
-    /// patches, all cells are larger.
+    /// patches, cells are larger, those of the first mesh last.
     pub fn build(elements: &Elements, sizes: &[f32], most: usize) -> Self {
         // The first mesh is the object: the others, which may be a whole room, are made coarser before it is.
         let mut coarser = [1.0f32; 2];
@@ -61,7 +61,7 @@ impl Patches {
                 sizes.iter().enumerate().map(|(m, s)| s * coarser[usize::from(m > 0)]).collect();
             let groups = divide(elements, &sizes);
             let others = groups.iter().filter(|g| elements.mesh_of(g[0] as usize) > 0).count();
-            let which = usize::from(others > most / 4);
+            let which = usize::from(others > most / 4 && coarser[1] <= COARSEST);
             // Whatever the cells, normals part patches.
             if groups.len() <= most || coarser[which] > COARSEST {
                 return Self::of_groups(elements, groups);

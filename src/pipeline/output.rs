@@ -98,7 +98,7 @@ pub(super) fn write(
             "Y: views that made up each texel; residual: how far their own means part, of 1; surface: 1 where the object is, 0 in the gutters; surface 1 and Y 0: not seen, filled",
         ),
     };
-    whole(&model.join("views.exr"), |to| exr_image::write(to, &counts))?;
+    whole(&model.join("views.exr"), |to| exr_image::write(to, counts))?;
     let Some(object) = scene.meshes.first() else { return Err(SceneError::NoMesh.into()) };
     let glb = glb::encode(&Model {
         mesh: object,

@@ -75,6 +75,7 @@ pub struct ProcessSummary {
     /// Pieces that the texture was solved in, for want of memory for all views at once.
     pub pieces: usize,
     /// How often a view was looked at for one of them.
+    #[serde(default)]
     pub looks: usize,
     /// What each stage took.
     pub costs: Vec<Cost>,

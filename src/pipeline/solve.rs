@@ -42,7 +42,8 @@ pub(super) fn texture_size(
     let fits = |size: usize| {
         let piece = (all * OBSERVED * pieces::PIXEL).min(options.memory());
         let bounces = Stage::bounce_memory(matched.len());
-        let needs = ((size * size) as f64 * TEXEL + one * PIXEL + piece + bounces) / 1e9;
+        // Little of the bounces' memory is still needed when pieces are solved.
+        let needs = ((size * size) as f64 * TEXEL + one * PIXEL + bounces.max(piece + 0.1 * bounces)) / 1e9;
         let has = free() / 1e9;
         if needs < has { Ok(size) } else { Err(ProcessError::Memory { size, needs, has }) }
     };

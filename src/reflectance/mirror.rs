@@ -22,6 +22,9 @@ const RAYS: f32 = 240.0;
 /// Steps of an even spread in two dimensions: powers of 1 / 1.324718, root of x^3 = x + 1.
 const KRONECKER: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053];
 
+/// The same for the shifts of elements: fractions of the golden mean and of the root of two.
+const SHIFTS: [f64; 2] = [0.618_033_988_749_895, 0.414_213_562_373_095];
+
 /// Mirrored light, DN of irradiance, on every patch whose mesh has a gloss and that faces `eye` (metres, world frame);
 /// 0 elsewhere. `exitance`, DN, is what each patch sends out; `rays` are how many it takes for a lobe.
 pub(super) fn mirrored(
@@ -72,10 +75,11 @@ fn of_element(
     }
     let start = centre + elements.lift(e);
     let (side, other) = normal.any_orthonormal_pair();
-    // A shift of its own for every element, so that what one misses another finds.
-    let shift = (e as f64 * 0.618_033_988_749_895).fract();
+    // Shifts of its own for every element, so that what one misses another finds.
+    let shifts = SHIFTS.map(|s| (e as f64 * s).fract());
     for i in 0..rays {
-        let [u, turn] = KRONECKER.map(|k| ((i as f64 + 0.5) * k + shift).fract() as f32);
+        let spread = |d: usize| ((i as f64 + 0.5) * KRONECKER[d] + shifts[d]).fract() as f32;
+        let [u, turn] = [0, 1].map(spread);
         let tilt = ((1.0 - u) / (1.0 + (alpha * alpha - 1.0) * u)).max(0.0).sqrt();
         let (sin, cos) = (TAU * turn).sin_cos();
         let half = normal * tilt + (side * cos + other * sin) * (1.0 - tilt * tilt).max(0.0).sqrt();
@@ -115,6 +119,24 @@ mod tests {
         let elements = Elements::build(&[&lying, &standing], &[0.2, 1.0]);
         let patches = Patches::single(&elements);
         Stage { elements, patches, offset: 1e-4 }
+    }
+
+    #[test]
+    fn few_rays_of_a_wide_lobe_are_right_in_the_mean_over_many_elements() {
+        let stage = corner();
+        let elements = &stage.elements;
+        let exitance: Vec<[f32; 3]> = (0..elements.len()).map(|e| [elements.mesh_of(e) as f32; 3]).collect();
+        for alpha in [0.1, 0.3, 0.5] {
+            let gloss = [Some(Lobe { weight: 0.1, alpha }), None];
+            for eye in [Vec3::new(-3.0, 0.0, 3.0), Vec3::new(0.0, 4.0, 2.0), Vec3::new(0.0, -4.0, 2.0)] {
+                let mean = |rays: usize| {
+                    let all = mirrored(&stage, eye, &gloss, &exitance, |_| rays);
+                    all.iter().map(|light| f64::from(light[0])).sum::<f64>()
+                };
+                let (few, many) = (mean(3), mean(3000));
+                assert!((few / many - 1.0).abs() < 0.05, "{few} for {many} at {alpha} from {eye}");
+            }
+        }
     }
 
     #[test]

@@ -16,10 +16,10 @@ const OBJECT_PATCH: f32 = 0.012;
 const OTHER_PATCH: f32 = 0.08;
 
 /// Most patches, and memory that the bounced light on them may take, bytes, of which a patch takes so many for each
-/// view: with very many views there are fewer, so that memory does not grow with their number.
+/// view that sees it: with very many views there are fewer, so that memory does not grow with their number.
 const MOST_PATCHES: usize = 120_000;
 const BOUNCE_MEMORY: usize = 2_000_000_000;
-const PATCH_VIEW: usize = 100;
+const PATCH_VIEW: usize = 152;
 
 /// Distance by which rays start off the surface, relative to the object's diagonal.
 const OFFSET: f64 = 1e-4;
@@ -111,4 +111,27 @@ fn diagonal(mesh: &Mesh) -> f32 {
         (low, high) = (low.min(*p), high.max(*p));
     }
     if low.x <= high.x { (high - low).length() } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bounces_take_a_bounded_memory_whatever_the_number_of_views() {
+        for views in [1, 24, 104, 500, 10_000] {
+            assert!(Stage::bounce_memory(views) <= BOUNCE_MEMORY as f64, "{views}");
+        }
+        assert_eq!(most_patches(24), MOST_PATCHES);
+        let plate = |x: f32, side: f32| Mesh {
+            positions: [[0.0, 0.0], [side, 0.0], [side, side], [0.0, side]]
+                .map(|[u, v]| Vec3::new(x + u, v, x))
+                .into(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
+        };
+        let meshes = [plate(0.0, 1.0), plate(-3.0, 7.0)];
+        assert!(Stage::build(&meshes, 24).patches.len() > 2 * most_patches(10_000));
+        assert!(Stage::build(&meshes, 10_000).patches.len() <= most_patches(10_000));
+    }
 }

@@ -31,10 +31,11 @@ const SAFE: f64 = 0.94;
 const NOISE_ABOVE: f64 = 2.0;
 /// What a shot aims at whose predecessor was clipped, as a share of the target: its estimate is rough.
 const CAREFUL: f64 = 0.5;
-/// The same after a shot in which all was clipped.
+/// The same after an unlit shot in which nearly all of a colour was clipped: how far it is over, nobody knows.
 const BLIND: f64 = 0.06;
-/// Share of saturation that a prediction must have reached for a clipped shot not to contradict it.
-const FORETOLD: f64 = 0.7;
+/// Share of saturation that a prediction must have reached, and how many times it the rough estimate of a clipped shot
+/// may be, for this shot not to contradict what an earlier one has measured.
+const FORETOLD: (f64, f64) = (0.7, 2.0);
 /// Slowest shutter of a longer unlit frame, seconds: beyond, the sensor's own dark signal counts.
 const LONGEST_UNLIT: f64 = 1.0;
 /// Share of saturation at which a longer unlit frame's room light may end.
@@ -57,7 +58,7 @@ pub struct Finding<S = Nominal> {
     flash: [f64; 4],
     unlit: Option<Shot>,
     lit: Option<Shot>,
-    /// Whether room and flash are as a lit shot within the sensor's range told them.
+    /// Whether room and flash are as a lit shot within the sensor's range told them, or little brighter.
     told: bool,
     /// Settings of lit shots in which too much was clipped.
     clipped: Vec<Exposure>,
@@ -155,7 +156,6 @@ impl<S: ExposureScale> Finding<S> {
         match (&self.unlit, &self.lit) {
             (None, _) if !self.wish.flash_only => return shoot(self.start, false),
             (Some(unlit), None) if unlit.is_clipped() => {
-                // A frame without one site that is not clipped does not tell how far it is over.
                 let careful = if unlit.is_blown() { BLIND } else { CAREFUL };
                 let darker = self.best(careful * self.wish.target_share);
                 // One shot at least must be left for the flash.
@@ -188,12 +188,12 @@ impl<S: ExposureScale> Finding<S> {
             return Err(self.unreachable(best));
         }
         // A test shot that is as good as any is the plan, else the plan is tried if shots are left.
-        if !lit.is_known() && self.clipped.contains(&best) {
+        if self.clipped.contains(&best) {
             return Err(self.unreachable(best));
         }
-        let tried = lit.exposure == best
+        let as_good = lit.exposure == best
             || off_by(lit.exposure) < GOOD && self.cost(lit.exposure) <= self.cost(best) + GOOD;
-        match (tried && self.fits(&lit), left) {
+        match (as_good && lit.is_known() && self.fits(&lit), left) {
             (true, _) => Ok(Next::Done(self.found(lit.exposure))),
             (false, 0) => Ok(Next::Done(self.found(best))),
             (false, _) => shoot(best, true),
@@ -210,9 +210,17 @@ impl<S: ExposureScale> Finding<S> {
         self.shots += 1;
         if flash {
             let (room, gain) = (self.room_scale(exposure), self.flash_scale(exposure));
-            // What a shot that was measured has told stands, if a clipped one is no more than it foretold with its error.
-            self.told = shot.is_known() || self.told && shot.is_clipped() && self.share(exposure) > FORETOLD;
-            let kept = self.told && !shot.is_known();
+            let foretold = self.share(exposure);
+            let rough = shot.seen.iter().map(|b| b.top).fold(0.0, f64::max);
+            let kept =
+                self.told && shot.is_clipped() && foretold > FORETOLD.0 && rough < FORETOLD.1 * foretold;
+            self.told = shot.is_known() || kept;
+            if kept {
+                // What a measured shot has told stands, but that there is enough light to clip.
+                let more = (1.0 / foretold).max(1.0);
+                self.flash = self.flash.map(|f| f * more);
+                self.room = self.room.map(|r| r * more);
+            }
             for (c, seen) in shot.seen.iter().enumerate().filter(|_| !kept) {
                 let light = if shot.is_known() { seen.signal() } else { seen.at_most() };
                 self.flash[c] = (light - self.room[c] * room).max(0.0) / gain;
@@ -286,7 +294,8 @@ impl<S: ExposureScale> Finding<S> {
     /// Whether settings should not come out clipped: not predicted so near to saturation that noise does it, nor as
     /// bright as a lit shot that was. Those of a lit shot that came out well clear of saturation are.
     fn is_safe(&self, e: Exposure, target: f64) -> bool {
-        if self.lit.is_some_and(|lit| lit.exposure == e && lit.seen.iter().all(|b| b.top < SAFE)) {
+        let came_out = |lit: &Shot| lit.seen.iter().all(|b| b.top < SAFE) && self.fits(lit);
+        if self.lit.as_ref().is_some_and(|lit| lit.exposure == e && came_out(lit)) {
             return true;
         }
         let (room, flash) = (self.room_scale(e), self.flash_scale(e));

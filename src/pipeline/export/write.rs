@@ -82,7 +82,7 @@ pub(super) fn exr(model: &Model, to: &Path, exported: &mut Exported) -> Result<(
     file(to, "views.exr", exported, |path| {
         // Counts have no colours.
         let meta = Meta { colour_space: None, ..model.counts.meta.clone() };
-        exr_image::write(path, &Exr { meta, ..model.counts.clone() })
+        exr_image::write(path, Exr { meta, ..model.counts.clone() })
     })
 }
 
