@@ -4,8 +4,9 @@
 //! sensor values, gives the plan under which the brightest channel of the lit frame ends at the wished share of
 //! saturation inside the region. Brightness is the 99.9 % quantile of a filter position's sites in the region
 //! above black, as a share of the range to saturation. Room light goes with t ISO / N^2, flash light with
-//! ISO / N^2 alone. A clipped shot tells by its unclipped quantiles how far to come down, a dark one by its noise
-//! how far up it is safe to go; 14 bits hold enough range that the next shot is then neither.
+//! ISO / N^2 alone. A clipped shot tells by its unclipped quantiles how far to come down (where a measured one has
+//! foretold nearly as much, it only raises that to what clips), a dark one by its noise how far up it is safe to go; 14
+//! bits hold enough range that the next shot is then neither.
 
 mod brightness;
 mod wish;

@@ -23,7 +23,7 @@ const STOPS: [usize; 2] = [1, 9];
 /// The ring is simulated as this many rings of equal area, one inside the other, each at several turns about the
 /// lens: round as it is, each turn gives the same but for the samples of its shadows.
 const RINGS: usize = 4;
-const TURNS: usize = 6;
+const TURNS: usize = 12;
 
 /// Samples of a pixel's square along each side.
 const GRID: usize = 4;
