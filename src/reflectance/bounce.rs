@@ -28,9 +28,11 @@ const MOST_BOUNCES: usize = 40;
 /// Transport loses no energy of its own, so a reflectance at or above one would grow without end.
 const MOST_REFLECTANCE: f32 = 0.97;
 
-/// Rounds of looking for a gloss: while it counts as paint, too much bounced light is taken off the readings that it
-/// is looked for in.
-const GLOSS_ROUNDS: usize = 3;
+/// Most rounds of looking for a gloss: while it counts as paint, too much bounced light is taken off the readings that it
+/// is looked for in, and what it mirrors is only guessed. It stands still when its width is the same and its weight changes
+/// by less than a share.
+const GLOSS_ROUNDS: usize = 8;
+const GLOSS_STILL: f32 = 0.03;
 
 /// Relative error of a reading beside noise when the gloss is looked for: texture within a patch, pose, mesh.
 const SCATTER: f32 = 0.03;
@@ -99,12 +101,23 @@ impl Bounces {
         state.rho = state.solve_patches(patches, &seen);
         state.iterate(patches, transport, views, &seen, progress)?;
         for _ in 0..GLOSS_ROUNDS {
+            let before = state.gloss.clone();
             if !state.find_gloss(patches, &mut seen, progress)? {
                 break;
             }
+            let still = |(before, now): (&Option<Lobe>, &Option<Lobe>)| match (before, now) {
+                (Some(a), Some(b)) => {
+                    a.alpha == b.alpha && (a.weight - b.weight).abs() < GLOSS_STILL * b.weight
+                }
+                (a, b) => a.is_none() && b.is_none(),
+            };
+            let still = before.iter().zip(&state.gloss).all(still);
             state.mirror(stage, views, progress)?;
             state.rho = state.solve_patches(patches, &seen);
             state.iterate(patches, transport, views, &seen, progress)?;
+            if still {
+                break;
+            }
         }
         state.shares = state.shares(views);
         state.mirrored = vec![];
