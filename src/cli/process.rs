@@ -1,8 +1,8 @@
 //! `unlit process`: a session's pairs to reflectance.
 
 use super::{CliError, CliResult, Exit, progress_bar};
+use crate::pipeline::memory::MEMORY;
 use crate::pipeline::process::{ProcessOptions, process};
-use crate::pipeline::solve::MEMORY;
 use crate::reflectance::unwrap::{UvChoice, UvSource};
 use crate::session::Session;
 use std::path::PathBuf;
@@ -21,7 +21,7 @@ pub(super) struct Args {
     /// Threads to compute on; all cores by default. Results are the same for any number.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Memory for the views of one piece of the texture, GB; what needs more is solved in pieces, and a run that was
+    /// Memory that the run may take, GB; what needs more is solved in pieces, the larger the faster, and a run that was
     /// stopped goes on at the first piece that is missing.
     #[arg(long, value_name = "GB", default_value_t = MEMORY, value_parser = gigabytes)]
     memory: f64,
@@ -49,7 +49,7 @@ impl From<Uvs> for UvChoice {
 }
 
 fn gigabytes(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|_| "expected a number of gigabytes, as 2 or 0.5".to_owned())?;
+    let value: f64 = text.parse().map_err(|_| "expected a number of gigabytes, as 6 or 0.5".to_owned())?;
     if (0.001..=1e6).contains(&value) { Ok(value) } else { Err("expected 0.001 to 1000000 gigabytes".into()) }
 }
 
@@ -60,6 +60,7 @@ pub(super) fn run(args: &Args) -> CliResult {
         views: args.views,
         uvs: args.uvs.into(),
         memory: Some(args.memory),
+        piece: None,
     };
     let (bar, progress) = progress_bar::watched();
     let threads = usize::from(args.threads.unwrap_or(0));
@@ -91,7 +92,7 @@ pub(super) fn run(args: &Args) -> CliResult {
     );
     if summary.pieces > 1 {
         println!(
-            "the texture was solved in {} pieces of about {} GB (--memory)",
+            "the texture was solved in {} pieces to stay within {} GB (--memory)",
             summary.pieces, args.memory
         );
     }

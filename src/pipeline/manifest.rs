@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Raised when the same inputs give other results than before.
-const METHOD: u32 = 5;
+const METHOD: u32 = 6;
 
 /// Stages done, by name.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -5,6 +5,7 @@ use super::develop::DevelopError;
 use super::energy::{self, EnergyError, FlashAccount};
 use super::flash::{self, FlashError};
 use super::manifest::{StageManifest, digest};
+use super::memory::Needs;
 use super::scene::{self, SceneError};
 use super::{output, solve, uvs};
 use crate::calibration::FlashCalibration;
@@ -38,15 +39,11 @@ pub struct ProcessOptions {
     pub views: bool,
     /// Where the object's texture coordinates come from.
     pub uvs: UvChoice,
-    /// Memory for the views of one piece of the texture, GB; by default [`super::solve::MEMORY`].
+    /// Memory that the run may take, GB; by default [`super::memory::MEMORY`]. What needs more is solved in pieces.
     pub memory: Option<f64>,
-}
-
-impl ProcessOptions {
-    /// Bytes for the views of one piece of the texture.
-    pub(super) fn memory(&self) -> f64 {
-        1e9 * self.memory.unwrap_or(super::solve::MEMORY)
-    }
+    /// Memory for the views of one piece, GB, should less be wanted than there is room for: of a run that is stopped one
+    /// piece is lost.
+    pub piece: Option<f64>,
 }
 
 /// What was made, and from what; also `model/summary.json`.
@@ -121,9 +118,9 @@ pub enum ProcessError {
     /// A texture size that cannot be.
     #[error("texture size {0} is not possible: give a number of texels from 16 to {LARGEST_TEXTURE}")]
     TextureSize(usize),
-    /// More memory than there is.
+    /// More memory than the run may take.
     #[error(
-        "a texture of {size} x {size} texels from this many photos needs about {needs:.1} GB, but {has:.1} GB are free: use a machine with more memory, fewer pairs, or a smaller --texture-size"
+        "a texture of {size} x {size} texels from these photos and this mesh needs {needs:.2} GB or more, but the run may take {may:.2}: give it more with --memory, or a smaller --texture-size or mesh"
     )]
     Memory {
         /// Side asked for.
@@ -131,7 +128,17 @@ pub enum ProcessError {
         /// GB.
         needs: f64,
         /// GB.
-        has: f64,
+        may: f64,
+    },
+    /// More memory than there is.
+    #[error(
+        "the run takes up to {needs:.1} GB, but {free:.1} GB are free: close other programs, or give a smaller --memory or --texture-size"
+    )]
+    NotFree {
+        /// GB.
+        needs: f64,
+        /// GB.
+        free: f64,
     },
     /// Session.
     #[error(transparent)]
@@ -219,7 +226,8 @@ pub fn process(
     progress: &Progress,
 ) -> Result<ProcessSummary, ProcessError> {
     let mut inputs = Inputs::read(session)?;
-    let fitting = |object: &Mesh| solve::texture_size(options, object, &inputs.matched);
+    let needs = Needs::of(&inputs.scene.meshes, &inputs.matched);
+    let fitting = |object: &Mesh| solve::texture_size(options, object, &inputs.matched, &needs);
     let choice = (options.uvs, options.texture_size.is_some());
     let (size, uvs) = uvs::settle(&mut inputs.scene, choice, fitting, progress)?;
     inputs.uvs = (options.uvs, uvs);
@@ -228,7 +236,8 @@ pub fn process(
     let mut summary = match stored(session).filter(|_| manifest.is_done(session, "texture", &key)) {
         Some(summary) => ProcessSummary { up_to_date: true, ..summary },
         None => {
-            let summary = solve_and_write(session, &inputs, (size, options.memory()), &key, progress)?;
+            let piece = needs.for_a_piece(size, options)?;
+            let summary = solve_and_write(session, &inputs, (size, piece), &key, progress)?;
             let outputs = outputs(&summary.uvs);
             manifest.forget(solve::PARTS);
             manifest.note(session, "texture", &key, &outputs).map_err(io(&session.derived_dir()))?;

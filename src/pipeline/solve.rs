@@ -6,47 +6,28 @@
 use super::cost::Costs;
 use super::develop::{DevelopError, known_light, known_sites, lamp};
 use super::manifest::{StageManifest, digest};
+use super::memory::Needs;
 use super::process::{Inputs, LARGEST_TEXTURE, ProcessError, ProcessOptions, io};
 use crate::calibration::FlashCalibration;
 use crate::pair::PairRecord;
 use crate::progress::Progress;
 use crate::reflectance::atlas;
 use crate::reflectance::orientation::face_cameras;
-use crate::reflectance::pieces;
 use crate::reflectance::stage::Stage;
 use crate::reflectance::texture::{Part, Settled, Solver, Texture};
 use crate::scene::{Camera, Mesh, Scene};
 use crate::session::{Session, store};
 use glam::Vec3;
-
-/// Share of a photo that shows the object, about.
-const OBSERVED: f64 = 0.35;
-
-/// Bytes that a texel takes: its place on the surface, estimate, images to write.
-const TEXEL: f64 = 75.0;
-
-/// Bytes that a pixel of the photograph at hand takes: raws, known light, variance.
-const PIXEL: f64 = 60.0;
-
-/// Memory for the views of one piece, unless another is asked for, GB.
-pub const MEMORY: f64 = 2.0;
+use std::fs::File;
+use std::io::BufReader;
 
 pub(super) fn texture_size(
     options: &ProcessOptions,
     object: &Mesh,
     matched: &[(PairRecord, Camera)],
+    needs: &Needs,
 ) -> Result<usize, ProcessError> {
-    let pixels = |camera: &Camera| camera.intrinsics.width as f64 * camera.intrinsics.height as f64;
-    let all: f64 = matched.iter().map(|(_, camera)| pixels(camera)).sum();
-    let one = matched.iter().map(|(_, camera)| pixels(camera)).fold(0.0, f64::max);
-    let fits = |size: usize| {
-        let piece = (all * OBSERVED * pieces::PIXEL).min(options.memory());
-        let bounces = Stage::bounce_memory(matched.len());
-        // Little of the bounces' memory is still needed when pieces are solved.
-        let needs = ((size * size) as f64 * TEXEL + one * PIXEL + bounces.max(piece + 0.1 * bounces)) / 1e9;
-        let has = free() / 1e9;
-        if needs < has { Ok(size) } else { Err(ProcessError::Memory { size, needs, has }) }
-    };
+    let fits = |size| needs.for_a_piece(size, options).map(|_| size);
     if let Some(size) = options.texture_size {
         if !(16..=LARGEST_TEXTURE).contains(&size) {
             return Err(ProcessError::TextureSize(size));
@@ -62,14 +43,6 @@ pub(super) fn texture_size(
     fits(atlas::fitting_size(object, finest))
 }
 
-/// Memory that is free now, bytes, as Linux estimates it; where it does not tell, what a small machine has.
-fn free() -> f64 {
-    let told = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
-    let line = told.lines().find_map(|l| l.strip_prefix("MemAvailable:"));
-    let kilobytes = line.and_then(|l| l.trim().trim_end_matches("kB").trim().parse::<f64>().ok());
-    kilobytes.map_or(4e9, |k| 1024.0 * k)
-}
-
 /// The scene made ready for light: meshes face the cameras that see them. Gives the names of those turned.
 pub(super) fn stage(scene: &mut Scene, views: usize) -> (Stage, Vec<String>) {
     let stage = Stage::build(&scene.meshes, views);
@@ -78,12 +51,12 @@ pub(super) fn stage(scene: &mut Scene, views: usize) -> (Stage, Vec<String>) {
 }
 
 /// Solves the texture: it, the names of the meshes that were turned to face the cameras, and what it cost. `key` is
-/// the digest of everything that goes in.
+/// the digest of everything that goes in, `piece` the bytes for the views of one piece.
 pub(super) fn solve(
     session: &Session,
     scene: &mut Scene,
     inputs: &Inputs,
-    (size, memory): (usize, f64),
+    (size, piece): (usize, f64),
     key: &str,
     progress: &Progress,
 ) -> Result<(Texture, Vec<String>, Costs), ProcessError> {
@@ -103,9 +76,9 @@ pub(super) fn solve(
         solver.add(camera, &known, &lamp(pair, &inputs.calibration)?, progress)?;
     }
     costs.done("raws, direct light, first look");
-    let mut settled = solver.settle(memory, progress)?;
+    let mut settled = solver.settle(piece, progress)?;
     costs.done("bounces");
-    let mut parts = Parts::open(session, digest(&[key.as_bytes(), &memory.to_le_bytes()]), settled.pieces());
+    let mut parts = Parts::open(session, digest(&[key.as_bytes(), &piece.to_le_bytes()]), settled.pieces());
     for piece in 0..settled.pieces() {
         let part = match parts.stored(piece) {
             Some(part) => part,
@@ -164,7 +137,7 @@ impl<'a> Parts<'a> {
     }
 
     fn file(piece: usize) -> String {
-        format!("{PARTS}/{piece:04}.json")
+        format!("{PARTS}/{piece:04}.cbor")
     }
 
     /// A piece that an earlier run has solved from the same inputs.
@@ -172,7 +145,8 @@ impl<'a> Parts<'a> {
         if !self.manifest.is_done(self.session, &Self::file(piece), &self.key) {
             return None;
         }
-        serde_json::from_slice(&std::fs::read(self.session.path().join(Self::file(piece))).ok()?).ok()
+        let file = File::open(self.session.path().join(Self::file(piece))).ok()?;
+        ciborium::from_reader(BufReader::new(file)).ok()
     }
 
     /// Keeps a piece; the only one of a texture is not worth it.
@@ -184,8 +158,13 @@ impl<'a> Parts<'a> {
         let path = self.session.path().join(&file);
         let folder = self.session.path().join(PARTS);
         std::fs::create_dir_all(&folder).map_err(io(&folder))?;
-        let bytes = serde_json::to_vec(part).map_err(std::io::Error::other).map_err(io(&path))?;
-        store::write_atomic(&path, &bytes).map_err(io(&path))?;
+        let written = store::write_atomic_with(&path, |to| {
+            ciborium::into_writer(part, to).map_err(|error| match error {
+                ciborium::ser::Error::Io(error) => error,
+                ciborium::ser::Error::Value(why) => std::io::Error::other(why),
+            })
+        });
+        written.map_err(io(&path))?;
         let noted = self.manifest.note(self.session, &file, &self.key, std::slice::from_ref(&file));
         noted.map_err(io(&folder))
     }

@@ -29,7 +29,8 @@ pub fn ensure(session: &Session, progress: &Progress) -> Result<(usize, usize), 
     let stored = super::process::stored(session);
     let uvs = stored.as_ref().map(|s| s.uv_choice).unwrap_or_default();
     let texture_size = stored.map(|s| s.texture_size);
-    Ok(process(session, &ProcessOptions { texture_size, views: true, uvs, memory: None }, progress)?.views)
+    let options = ProcessOptions { texture_size, views: true, uvs, ..ProcessOptions::default() };
+    Ok(process(session, &options, progress)?.views)
 }
 
 pub(super) fn keep_patches(session: &Session, rho: &[[f32; 3]]) -> Result<(), ProcessError> {
@@ -112,7 +113,7 @@ pub(super) fn make(
         let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &sent, progress)?;
         let mut maps = view_maps(&light, &known, &stage, &bounced, progress)?;
         if let Some(view) = Projection::look(&around, &light, &bounced, &sites, progress)? {
-            let own = own_look(&light, &view, &texels, gain.value, summary.blur);
+            let own = own_look(&view, &texels, gain.value, summary.blur);
             for (to, from) in maps.reflectance.pixels_mut().iter_mut().zip(own.pixels()) {
                 if from.is_some() {
                     *to = *from;

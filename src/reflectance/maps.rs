@@ -7,8 +7,10 @@
 //! Where the view shows the object, [`own_look`] does better than a ratio: light and colour change within the lens's
 //! blur, and a ratio of blurred light is not the blurred ratio. What the texture leaves of the sensor sites is
 //! interpolated instead of the sites themselves (demosaicing by residuals: Kiku, Monno, Tanaka and Okutomi, "Residual
-//! interpolation for color image demosaicking", 2013), and counts by its own noise against `OWN`.
+//! interpolation for color image demosaicking", 2013), and counts by its own noise, and by how far the tenth of a pixel by
+//! which a picture may be misplaced would move it, against `OWN`.
 
+use super::joint::MISPLACED;
 use super::observe::{GRAZING, Illumination};
 use super::projection::Projection;
 use super::stage::Stage;
@@ -77,16 +79,14 @@ pub(crate) fn divided(known: &Known, x: usize, y: usize, white: [f32; 3]) -> Opt
 /// The object as one view saw it: the texture through the lens, and what this view's sites say beside it, weighed by its
 /// noise. Reflectance through the lens, by pixel of the frame; `None` elsewhere.
 pub fn own_look(
-    light: &Illumination,
     view: &Projection,
     texels: &[[f32; 3]],
     gain: f64,
     blur: [f32; 3],
 ) -> Image<Option<[f32; 3]>> {
-    let lens = &light.camera().intrinsics;
     let (predicted, white) = (view.predict(texels, true, blur), view.white(blur));
     let (seen, cover) = view.plain(texels, blur);
-    let mut out = Image::filled(lens.width, lens.height, None);
+    let mut out = Image::filled(view.frame.0, view.frame.1, None);
     let g = gain as f32;
     for y in 0..view.window.height {
         for x in 0..view.window.width {
@@ -110,7 +110,9 @@ pub fn own_look(
 
 /// What the prediction leaves of the sites round a pixel, by colour, and its variance: bilinear interpolation.
 fn left_over(view: &Projection, predicted: &Rgb, g: f32, x: usize, y: usize) -> [Option<(f32, f32)>; 3] {
-    let (mut sum, mut weight, mut variance) = ([0.0f32; 3], [0.0f32; 3], [0.0f32; 3]);
+    let (mut sum, mut weight) = ([0.0f32; 3], [0.0f32; 3]);
+    // Noise is each site's own, a displacement all sites'.
+    let (mut variance, mut moved) = ([0.0f32; 3], [0.0f32; 3]);
     let own = view.sites.at(x, y);
     for dy in -1isize..=1 {
         for dx in -1isize..=1 {
@@ -125,9 +127,72 @@ fn left_over(view: &Projection, predicted: &Rgb, g: f32, x: usize, y: usize) -> 
             sum[c] += w * (site.known - g * p[c]);
             weight[c] += w;
             variance[c] += w * w * site.variance;
+            moved[c] += w * MISPLACED * g * slope(predicted, sx, sy, c);
         }
     }
     std::array::from_fn(|c| {
-        (weight[c] > 0.0).then(|| (sum[c] / weight[c], variance[c] / (weight[c] * weight[c])))
+        (weight[c] > 0.0)
+            .then(|| (sum[c] / weight[c], (variance[c] + moved[c] * moved[c]) / (weight[c] * weight[c])))
     })
+}
+
+/// Steepest change of a colour about a pixel, per pixel; the border's own value stands beyond it.
+fn slope(image: &Rgb, x: isize, y: isize, c: usize) -> f32 {
+    let at = |dx: isize, dy: isize| image.get(x + dx, y + dy).or(image.get(x, y)).map_or(0.0, |p| p[c]);
+    (0.5 * (at(1, 0) - at(-1, 0))).hypot(0.5 * (at(0, 1) - at(0, -1)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::projection::Ground;
+    use super::super::projection::tests::{SIZE, flat_view};
+    use super::*;
+
+    /// A view of paint of 0.5 whose light falls to a sixth across a column, as at a depth edge; its sites say what
+    /// `reading` makes of the prediction there.
+    fn look(reading: impl Fn(&Rgb, usize, usize, usize) -> f32) -> Image<Option<[f32; 3]>> {
+        let mut view = flat_view(0, 3000.0);
+        for (i, white) in view.white.pixels_mut().iter_mut().enumerate() {
+            if i % SIZE >= SIZE / 2 {
+                *white = white.map(|w| w / 6.0);
+            }
+        }
+        let ground = Ground::number(SIZE, std::iter::once(&mut view));
+        let texels = vec![[0.5; 3]; ground.len()];
+        let predicted = view.predict(&texels, true, [0.6; 3]);
+        for y in 0..SIZE {
+            for x in 0..SIZE {
+                let site = view.sites.at_mut(x, y);
+                site.known = reading(&predicted, x, y, usize::from(site.colour));
+                site.variance = 100.0;
+            }
+        }
+        own_look(&view, &texels, 1.0, [0.6; 3])
+    }
+
+    fn largest_error(image: &Image<Option<[f32; 3]>>, truth: f32, columns: std::ops::Range<usize>) -> f32 {
+        let places = columns.flat_map(|x| (30..34).map(move |y| (x, y)));
+        let errors = places.filter_map(|(x, y)| *image.at(20 + x, 20 + y)).flatten();
+        errors.map(|v| (v - truth).abs()).fold(f32::NAN, f32::max)
+    }
+
+    #[test]
+    fn a_photograph_displaced_at_an_edge_of_light_does_not_make_bright_spots() {
+        let shifted = |p: &Rgb, x: usize, y: usize, c: usize| {
+            let left = p.at(x.saturating_sub(1), y)[c];
+            0.85 * p.at(x, y)[c] + 0.15 * left
+        };
+        let error = largest_error(&look(shifted), 0.5, 24..40);
+        assert!(error < 0.1, "{error}");
+    }
+
+    #[test]
+    fn where_nothing_changes_fast_a_view_tells_its_own() {
+        let brighter = |p: &Rgb, x: usize, y: usize, c: usize| 1.2 * p.at(x, y)[c];
+        let image = look(brighter);
+        let error = largest_error(&image, 0.6, 26..30);
+        assert!(error < 0.015, "{error}");
+        let error = largest_error(&image, 0.6, 35..38);
+        assert!(error < 0.04, "{error}");
+    }
 }

@@ -44,6 +44,9 @@ const LAMP_POINTS: u32 = 8;
 /// Step of the search for the object, pixels; what lies within a step and the blur's reach of it counts.
 const SEARCH_STEP: usize = 2;
 
+/// Rows of the window that are looked at together.
+const ROWS: usize = 128;
+
 /// By how much texture coordinates may leave the unit square by rounding.
 const OUTSIDE: f32 = 1e-4;
 
@@ -160,27 +163,35 @@ impl Projection {
         let bounced = around.stage.smooth(bounced);
         let lit = Lit { direct: light, bounced: &bounced, mirrored: &mirrored };
         let wanted = around.wanted(light, &window, progress)?;
-        let rows: Vec<Row> = (0..window.height)
-            .into_par_iter()
-            .map(|y| {
-                progress.check()?;
-                Ok(row(around, &lit, &window, &wanted, y))
-            })
-            .collect::<Result<_, Cancelled>>()?;
-        let blank = Image::filled(window.width, window.height, [0.0; 3]);
-        let mut white = blank;
-        for s in rows.iter().flat_map(|r| &r.samples) {
-            let pixel = &mut white.pixels_mut()[s.pixel as usize];
-            (0..3).for_each(|c| pixel[c] += s.white[c]);
+        let blank = || Image::filled(window.width, window.height, [0.0; 3]);
+        let (mut white, mut other) = (blank(), blank());
+        let mut unknown = Image::filled(window.width, window.height, [0.0]);
+        let mut rays = vec![];
+        // A band of rows at a time, so that their samples and the rays made of them are not held together for all.
+        for top in (0..window.height).step_by(ROWS) {
+            progress.check()?;
+            let band = top..(top + ROWS).min(window.height);
+            let rows: Vec<Row> =
+                band.into_par_iter().map(|y| row(around, &lit, &window, &wanted, y)).collect();
+            for (y, row) in (top..).zip(&rows) {
+                for s in &row.samples {
+                    let pixel = &mut white.pixels_mut()[s.pixel as usize];
+                    (0..3).for_each(|c| pixel[c] += s.white[c]);
+                }
+                rays.extend(row.samples.iter().map(|s| Ray::of(s, &white, around.size)));
+                let across = y * window.width..(y + 1) * window.width;
+                other.pixels_mut()[across.clone()].copy_from_slice(&row.other);
+                unknown.pixels_mut()[across].copy_from_slice(&row.unknown);
+            }
         }
-        let rays = rows.iter().flat_map(|r| &r.samples).map(|s| Ray::of(s, &white, around.size)).collect();
+        rays.shrink_to_fit();
         let view = Self {
             window,
             rays,
             bands: vec![],
-            other: Image::from_fn(window.width, window.height, |x, y| rows[y].other[x]),
+            other,
             white,
-            unknown: Image::from_fn(window.width, window.height, |x, y| [rows[y].unknown[x]]),
+            unknown,
             sites: Image::from_fn(window.width, window.height, |x, y| {
                 let (sx, sy) = (window.left + x, window.top + y);
                 let colour = known.cfa.colour(sx, sy) as u8;
@@ -199,7 +210,7 @@ impl Projection {
 struct Row {
     samples: Vec<Sample>,
     other: Vec<[f32; 3]>,
-    unknown: Vec<f32>,
+    unknown: Vec<[f32; 1]>,
 }
 
 /// All light of one view: the flash's own, and by element corner what bounces and what a gloss mirrors (DN; empty
@@ -215,10 +226,10 @@ fn row(around: &Surroundings, lit: &Lit, window: &Window, wanted: &Image<bool>, 
     let (camera, lamp) = (light.camera(), light.lamp());
     let one = 1.0 / (GRID * GRID) as f32;
     let mut out =
-        Row { samples: vec![], other: vec![[0.0; 3]; window.width], unknown: vec![0.0; window.width] };
+        Row { samples: vec![], other: vec![[0.0; 3]; window.width], unknown: vec![[0.0]; window.width] };
     for x in 0..window.width {
         if !wanted.at(x, y) {
-            out.unknown[x] = 1.0;
+            out.unknown[x] = [1.0];
             continue;
         }
         let corner = DVec2::new((window.left + x) as f64, (window.top + y) as f64);
@@ -231,7 +242,7 @@ fn row(around: &Surroundings, lit: &Lit, window: &Window, wanted: &Image<bool>, 
         let shared = shared_share(light, &met, pixel);
         for (k, met) in met.into_iter().enumerate() {
             let Some(met) = met else {
-                out.unknown[x] += one;
+                out.unknown[x][0] += one;
                 continue;
             };
             let share = shared.unwrap_or_else(|| {
@@ -256,7 +267,7 @@ fn row(around: &Surroundings, lit: &Lit, window: &Window, wanted: &Image<bool>, 
             match place {
                 Some((texel, at)) => {
                     if f64::from(met.facing) < GRAZING {
-                        out.unknown[x] += one;
+                        out.unknown[x][0] += one;
                     }
                     out.samples.push(Sample { pixel: (y * window.width + x) as u32, texel, at, white });
                 }

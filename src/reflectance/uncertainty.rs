@@ -148,41 +148,47 @@ pub(super) fn cells(
 fn patches(state: &State, v: usize, photo: &Photo, weights: &Weights, texels: &[[f32; 3]]) -> Image<Patch> {
     let view = &photo.projection;
     let g = state.gains[v].value as f32;
-    let (predicted, white) = (view.predict(texels, true, state.blur), view.white(state.blur));
-    let others = view.others(state.blur);
     let (width, height) = (view.window.width, view.window.height);
     // By channel: weighted residual and information; and of the model's errors the relative one and both slopes.
     let mut told = Image::filled(width, height, [0.0f32; 6]);
-    let mut model = Image::filled(width, height, [0.0f32; 12]);
-    for y in 0..height {
-        for x in 0..width {
-            let i = y * width + x;
-            let (site, w) = (&view.sites.pixels()[i], weights.sites[i]);
-            if w <= 0.0 {
-                continue;
+    let (mut relative, mut slopes) = (Image::filled(width, height, [0.0f32; 3]), told.clone());
+    {
+        let (predicted, white) = (view.predict(texels, true, state.blur), view.white(state.blur));
+        let others = view.others(state.blur);
+        for y in 0..height {
+            for x in 0..width {
+                let i = y * width + x;
+                let (site, w) = (&view.sites.pixels()[i], weights.sites[i]);
+                if w <= 0.0 {
+                    continue;
+                }
+                let c = usize::from(site.colour);
+                let a = g * white.pixels()[i][c];
+                let expected = g * predicted.pixels()[i][c];
+                let told = &mut told.pixels_mut()[i];
+                (told[c], told[3 + c]) = (w * a * (site.known - expected), w * a * a);
+                let near = |dx: isize, dy: isize| {
+                    predicted.get(x as isize + dx, y as isize + dy).map_or(expected, |p| g * p[c])
+                };
+                relative.pixels_mut()[i][c] =
+                    w * a * (MODEL_ERROR * expected).hypot(OTHER_ERROR * g * others.pixels()[i][c]);
+                let slopes = &mut slopes.pixels_mut()[i];
+                slopes[c] = w * a * (near(1, 0) - near(-1, 0)) / 2.0;
+                slopes[3 + c] = w * a * (near(0, 1) - near(0, -1)) / 2.0;
             }
-            let c = usize::from(site.colour);
-            let a = g * white.pixels()[i][c];
-            let expected = g * predicted.pixels()[i][c];
-            let (told, model) = (&mut told.pixels_mut()[i], &mut model.pixels_mut()[i]);
-            (told[c], told[3 + c]) = (w * a * (site.known - expected), w * a * a);
-            let near = |dx: isize, dy: isize| {
-                predicted.get(x as isize + dx, y as isize + dy).map_or(expected, |p| g * p[c])
-            };
-            model[c] = w * a * (MODEL_ERROR * expected).hypot(OTHER_ERROR * g * others.pixels()[i][c]);
-            model[3 + c] = w * a * (near(1, 0) - near(-1, 0)) / 2.0;
-            model[6 + c] = w * a * (near(0, 1) - near(0, -1)) / 2.0;
         }
     }
-    let (told, model) = (gaussian(&told, PATCH_SIGMA), gaussian(&model, PATCH_SIGMA));
+    told = gaussian(&told, PATCH_SIGMA);
+    relative = gaussian(&relative, PATCH_SIGMA);
+    slopes = gaussian(&slopes, PATCH_SIGMA);
     Image::from_fn(width, height, |x, y| {
-        let (told, model) = (told.at(x, y), model.at(x, y));
+        let (told, relative, slopes) = (told.at(x, y), relative.at(x, y), slopes.at(x, y));
         let mut patch = Patch::default();
         for c in (0..3).filter(|c| told[3 + c] > 0.0) {
             let info = told[3 + c];
             patch.residual[c] = told[c] / info;
-            let misplaced = MISPLACED * (model[3 + c] / info).hypot(model[6 + c] / info);
-            patch.model[c] = (model[c] / info).powi(2) + misplaced.powi(2);
+            let misplaced = MISPLACED * (slopes[c] / info).hypot(slopes[3 + c] / info);
+            patch.model[c] = (relative[c] / info).powi(2) + misplaced.powi(2);
             patch.info[c] = info * PATCH_AREA;
         }
         patch

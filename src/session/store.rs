@@ -4,7 +4,7 @@
 //! be removed by whoever holds the session alone.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -21,9 +21,17 @@ pub(super) fn temporary_path(folder: &Path) -> PathBuf {
 /// Writes `bytes` to `path` so that it holds either what it held before or all of `bytes`, even if the
 /// machine stops half-way. The folder must exist.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    write_atomic_with(path, |file| file.write_all(bytes))
+}
+
+/// The same of what `write` writes, piece by piece.
+pub fn write_atomic_with(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> io::Result<()> {
     let folder = folder_of(path);
     let temporary = temporary_path(folder);
-    let written = write_synced(&temporary, bytes).and_then(|()| std::fs::rename(&temporary, path));
+    let written = new_synced(&temporary, write).and_then(|()| std::fs::rename(&temporary, path));
     if let Err(error) = written {
         // The temporary file may not even be there; the first error is the one to tell.
         let _ = std::fs::remove_file(&temporary);
@@ -34,9 +42,14 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> io::Result<()> {
 
 /// Writes a new file and waits until it is on the disk.
 pub(super) fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = OpenOptions::new().write(true).create_new(true).open(path)?;
-    file.write_all(bytes)?;
-    file.sync_all()
+    new_synced(path, |file| file.write_all(bytes))
+}
+
+fn new_synced(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
+    let mut file = BufWriter::new(OpenOptions::new().write(true).create_new(true).open(path)?);
+    write(&mut file)?;
+    file.flush()?;
+    file.get_ref().sync_all()
 }
 
 /// Appends `line` and a newline in one write, and waits until they are on the disk.
