@@ -129,6 +129,7 @@ impl CaptureError {
             CaptureError::Series(_) => "series_says_nothing",
             CaptureError::Saturation(_) => "saturation_table_unreadable",
             CaptureError::NoThread(_) => "no_thread",
+            CaptureError::Place(PlaceError::Session(SessionError::NoRoom { .. })) => "disk_full",
             CaptureError::Place(_) => "session_not_written",
             CaptureError::Cancelled(_) => "cancelled",
         }

@@ -159,7 +159,8 @@ impl Place for PairPlace<'_> {
     }
 
     fn intend(&mut self) -> Result<(), PlaceError> {
-        note(self.session, "pair_started", json!({ "number": self.number }))
+        self.number = self.session.intend_pair()?;
+        Ok(())
     }
 
     fn store(&mut self, shots: Shots) -> Result<(), PlaceError> {
@@ -180,7 +181,7 @@ impl Place for PairPlace<'_> {
     }
 
     fn abandon(&mut self, why: &str) -> Result<(), PlaceError> {
-        note(self.session, "pair_abandoned", json!({ "number": self.number, "why": why }))
+        Ok(self.session.abandon_pair(why)?)
     }
 }
 
@@ -345,6 +346,7 @@ impl Place for CardPlace<'_> {
     }
 
     fn intend(&mut self) -> Result<(), PlaceError> {
+        self.session.require_room()?;
         note(self.session, "calibration_shot_started", json!({ "name": self.name }))
     }
 

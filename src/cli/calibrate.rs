@@ -2,12 +2,11 @@
 
 use super::devices::DeviceArgs;
 use super::shoot::tell_of_recovery;
-use super::{CliError, CliResult, Exit, progress_bar};
+use super::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::capture::{Engine, Events, words_on_repeatability};
 use crate::pair::Limits;
 use crate::pipeline;
 use crate::pipeline::flash::{CardFacts, CardFiles, calibrate};
-use crate::session::Session;
 use std::path::PathBuf;
 
 /// What to calibrate.
@@ -91,7 +90,7 @@ pub(super) fn run(what: &Calibrate) -> CliResult {
 }
 
 fn repeatability(args: &RepeatabilityArgs) -> CliResult {
-    let session = Session::open(&args.session).map_err(CliError::new)?;
+    let session = open_session(&args.session)?;
     let (source, studio) = args.devices.prepare()?;
     if let Some(studio) = &studio {
         studio.show_card(1.0).map_err(CliError::new)?;
@@ -116,7 +115,7 @@ fn repeatability(args: &RepeatabilityArgs) -> CliResult {
 }
 
 fn saturation(args: &SaturationArgs) -> CliResult {
-    let session = Session::open(&args.session).map_err(CliError::new)?;
+    let session = open_session(&args.session)?;
     let (bar, progress) = progress_bar::watched();
     let entries = pipeline::saturation::calibrate(&session, &args.frames, &progress);
     bar.finish_and_clear();
@@ -134,7 +133,7 @@ fn saturation(args: &SaturationArgs) -> CliResult {
 }
 
 fn flash(args: &FlashArgs) -> CliResult {
-    let session = Session::open(&args.session).map_err(CliError::new)?;
+    let session = open_session(&args.session)?;
     let facts = CardFacts {
         target_reflectance: args.target_reflectance,
         ring_radii: args.ring_radii,

@@ -1,6 +1,6 @@
 //! `unlit evaluate`: a session's reflectance against a known truth.
 
-use super::{CliError, CliResult, Exit, progress_bar};
+use super::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pipeline::evaluate::{Errors, Estimate, Evaluation, evaluate};
 use crate::pipeline::{process, views};
 use crate::progress::Progress;
@@ -22,7 +22,7 @@ pub(super) struct Args {
 
 /// Scores and prints.
 pub(super) fn run(args: Args) -> CliResult {
-    let session = Session::open(&args.session).map_err(CliError::new)?;
+    let session = open_session(&args.session)?;
     let (bar, progress) = progress_bar::watched();
     let evaluation = score(&session, &args.truth, &progress);
     bar.finish_and_clear();

@@ -1,8 +1,7 @@
 //! `unlit export`: a finished model in other programs' formats.
 
-use super::{CliError, CliResult, Exit, progress_bar};
+use super::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pipeline::export::{self, ExportOptions, export};
-use crate::session::Session;
 use std::path::PathBuf;
 
 /// Arguments of `unlit export`.
@@ -73,7 +72,7 @@ impl From<Colour> for export::Colour {
 
 /// Writes and prints what was written.
 pub(super) fn run(args: Args) -> CliResult {
-    let session = Session::open(&args.session).map_err(CliError::new)?;
+    let session = open_session(&args.session)?;
     let formats = args.format.into_iter().map(Into::into).collect();
     let options = ExportOptions { formats, colour: args.colour.into() };
     let (bar, progress) = progress_bar::watched();

@@ -1,10 +1,10 @@
 //! `unlit import pairs`: flash-off/flash-on pairs from two folders.
 
-use super::{CliError, CliResult, Exit};
+use super::{CliError, CliResult, Exit, open_session};
 use crate::pair::Verdict;
 use crate::pipeline::pairs::{self, Imported};
 use crate::progress::Progress;
-use crate::session::Session;
+
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
@@ -26,7 +26,7 @@ pub(super) struct Pairs {
 
 pub(super) fn run(arguments: &Pairs) -> CliResult {
     let limits = pairs::read_limits(arguments.limits.as_deref()).map_err(CliError::new)?;
-    let session = Session::open(&arguments.session).map_err(CliError::new)?;
+    let session = open_session(&arguments.session)?;
     let bar = ProgressBar::new(0);
     if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len}") {
         bar.set_style(style);

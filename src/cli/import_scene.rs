@@ -1,9 +1,8 @@
 //! `unlit import scene`: cameras and meshes from a reconstruction program.
 
-use super::{CliError, CliResult, Exit};
+use super::{CliError, CliResult, Exit, open_session};
 use crate::pipeline::scene::{self, Lengths, Unit};
 use crate::progress::Progress;
-use crate::session::Session;
 use std::path::PathBuf;
 
 /// Arguments of `unlit import scene`.
@@ -40,7 +39,7 @@ pub(super) fn run(args: Args) -> CliResult {
         LengthUnit::Mm => Unit::Millimetre,
     };
     let lengths = Lengths { unit, scale: args.scale };
-    let session = Session::open(&args.session).map_err(CliError::new)?;
+    let session = open_session(&args.session)?;
     let file = scene::import(&session, &args.cameras, &args.meshes, lengths, &Progress::silent())
         .map_err(CliError::new)?;
     println!("{} cameras", file.cameras.len());

@@ -18,12 +18,15 @@ mod openapi;
 mod process;
 mod progress_bar;
 mod serve;
+mod session;
 mod shoot;
 mod studio;
 mod works;
 
+use crate::session::Session;
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
+use std::path::Path;
 use std::process::ExitCode;
 
 /// Exit codes, as documented in `unlit --help`.
@@ -59,6 +62,13 @@ impl CliError {
     }
 }
 
+/// Opens a session for writing, and says on stderr what had to be put right.
+fn open_session(path: &Path) -> Result<Session, CliError> {
+    let session = Session::open(path).map_err(CliError::new)?;
+    session.recovery().sentences().iter().for_each(|sentence| eprintln!("unlit: {sentence}"));
+    Ok(session)
+}
+
 /// What a command gives back to `main`.
 pub type CliResult = Result<Exit, CliError>;
 
@@ -76,6 +86,9 @@ struct Cli {
 enum Command {
     /// Makes a session: a folder for pairs, calibration, scene and results.
     New(new::New),
+    /// Checks a session folder.
+    #[command(subcommand)]
+    Session(session::SessionCommand),
     /// Brings files into a session: pairs shot to a card, or the reconstructed scene.
     #[command(subcommand)]
     Import(import::Import),
@@ -121,6 +134,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
     match cli.command {
         Command::New(arguments) => new::run(&arguments),
         Command::Import(what) => import::run(what),
+        Command::Session(command) => session::run(command),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Serve(args) => serve::run(args),
         Command::Shoot(args) => shoot::run(args),

@@ -1,10 +1,9 @@
 //! `unlit process`: a session's pairs to reflectance.
 
-use super::{CliError, CliResult, Exit, progress_bar};
+use super::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pipeline::memory::MEMORY;
 use crate::pipeline::process::{ProcessOptions, process};
 use crate::reflectance::unwrap::{UvChoice, UvSource};
-use crate::session::Session;
 use std::path::PathBuf;
 
 /// Arguments of `unlit process`.
@@ -54,7 +53,7 @@ fn gigabytes(text: &str) -> Result<f64, String> {
 }
 
 pub(super) fn run(args: &Args) -> CliResult {
-    let session = Session::open(&args.session).map_err(CliError::new)?;
+    let session = open_session(&args.session)?;
     let options = ProcessOptions {
         texture_size: args.texture_size,
         views: args.views,

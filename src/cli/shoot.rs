@@ -1,7 +1,7 @@
 //! `unlit shoot`: pairs from the terminal, by the same engine as the daemon's.
 
 use super::devices::DeviceArgs;
-use super::{CliError, CliResult, Exit, progress_bar};
+use super::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::capture::{CaptureError, Engine, Events, ExposureWish, Topic, words_on};
 use crate::pair::{Exposure, Plan, Verdict};
 use crate::pipeline::pairs;
@@ -64,6 +64,7 @@ pub(super) fn run(args: Args) -> CliResult {
         found.warnings.iter().for_each(|warning| bar.suspend(|| println!("{warning}")));
     }
     let operator = studio.as_ref().map(|studio| studio.operator(events.clone()));
+    tell_room(&session, &bar)?;
     let mut rejected = false;
     for turn in 1..=args.pairs {
         bar.set_prefix(format!("{turn}/{}", args.pairs));
@@ -78,9 +79,17 @@ pub(super) fn run(args: Args) -> CliResult {
     Ok(if rejected { Exit::Rejected } else { Exit::Success })
 }
 
+/// Says how many more pairs the disk takes, once that is known.
+fn tell_room(session: &Session, bar: &ProgressBar) -> Result<(), CliError> {
+    if let Some(pairs) = session.room().map_err(CliError::new)?.pairs() {
+        bar.suspend(|| println!("Room for {pairs} more pairs on the disk."));
+    }
+    Ok(())
+}
+
 fn open_or_make(path: &Path) -> Result<Session, CliError> {
     if path.join("session.json").is_file() {
-        return Session::open(path).map_err(CliError::new);
+        return open_session(path);
     }
     let absolute = std::path::absolute(path).map_err(CliError::new)?;
     let name = absolute.file_name().map(|n| n.to_string_lossy().into_owned());

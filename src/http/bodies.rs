@@ -72,8 +72,21 @@ pub(super) struct SessionBody {
     confirmed: Vec<String>,
     /// Finished results.
     results: Vec<ResultBody>,
+    /// Room on its disk; absent if that is not known.
+    room: Option<RoomBody>,
+    /// What had to be put right when it was opened, in sentences.
+    recovered: Vec<String>,
     /// Why nothing else is known of it, if so.
     problem: Option<String>,
+}
+
+/// Room on the disk that a session lies on.
+#[derive(Serialize, ToSchema)]
+pub(super) struct RoomBody {
+    /// Bytes that may still be written.
+    free_bytes: u64,
+    /// How many more pairs as large as the largest so far fit; absent before the first.
+    pairs: Option<u64>,
 }
 
 impl From<SessionSummary> for SessionBody {
@@ -98,6 +111,8 @@ impl From<SessionSummary> for SessionBody {
             exposure: s.plan.map(Into::into),
             region: s.region.map(Into::into),
             confirmed: s.confirmed,
+            room: s.room.map(|room| RoomBody { free_bytes: room.free, pairs: room.pairs() }),
+            recovered: s.recovered,
             problem: s.problem,
         }
     }

@@ -1,6 +1,6 @@
 //! A pair enters the session: both originals byte for byte, `pair.json`, all or nothing.
 
-use super::{Event, JOURNAL, PAIR_RECORD, Session, SessionError, journal, store, to_json};
+use super::{Event, JOURNAL, Numbering, PAIR_RECORD, Session, SessionError, journal, room, store, to_json};
 use crate::pair::{CompanionRecord, FlashRecord, FrameRecord, PairRecord, Reason, Settings, Verdict};
 use std::path::{Path, PathBuf};
 
@@ -96,14 +96,9 @@ impl Session {
     pub fn commit_pair(&self, new: NewPair) -> Result<Commit, SessionError> {
         let mut numbering = self.numbering()?;
         let (off_digest, on_digest) = (new.off.digest(), new.on.digest());
-        let number_free = |number: &u32| !numbering.names.contains_key(&format!("{number:04}"));
         let (number, name) = match new.name {
             Some(name) => (numbering.next, checked_name(name)?),
-            // A shot pair skips the numbers that imported pairs have for names.
-            None => {
-                let number = (numbering.next..=u32::MAX).find(number_free).unwrap_or(u32::MAX);
-                (number, format!("{number:04}"))
-            }
+            None => shot_name(&numbering),
         };
         if let Some((number, off, on)) = numbering.names.get(&name) {
             let number = *number;
@@ -126,15 +121,39 @@ impl Session {
         };
 
         let journal_file = self.path.join(JOURNAL);
-        journal::append(&journal_file, Event::PairIntended { number, name: record.name.clone() })?;
-        numbering.next = number.saturating_add(1);
+        let own = (number, record.name.clone());
+        if numbering.intended.as_ref() != Some(&own) {
+            self.require_room_for(&numbering, Some(room::bytes_of(&record)))?;
+            let (number, name) = own;
+            journal::append(&journal_file, Event::PairIntended { number, name })?;
+        }
+        numbering.intended = None;
         self.write_pair(&record, [&new.off, &new.on])?;
-        numbering
-            .names
-            .insert(record.name.clone(), (number, record.off.blake3.clone(), record.on.blake3.clone()));
+        numbering.take(&record);
         let (name, verdict) = (record.name.clone(), record.verdict);
-        journal::append(&journal_file, Event::PairCommitted { number, name, verdict })?;
+        // The pair is there, and its folder says so; the next opening says it in the journal, too.
+        if let Err(error) = journal::append(&journal_file, Event::PairCommitted { number, name, verdict }) {
+            tracing::error!("pair {number} is stored, but the journal could not be written: {error}");
+        }
         Ok(Commit::Stored(record))
+    }
+
+    /// Writes to the journal that the next pair is about to be shot, and gives its number. Refuses where there is no
+    /// room for it.
+    pub fn intend_pair(&self) -> Result<u32, SessionError> {
+        let mut numbering = self.numbering()?;
+        let (number, name) = shot_name(&numbering);
+        self.require_room_for(&numbering, None)?;
+        journal::append(&self.path.join(JOURNAL), Event::PairIntended { number, name: name.clone() })?;
+        numbering.intended = Some((number, name));
+        Ok(number)
+    }
+
+    /// Writes to the journal that nothing was stored of the pair that was intended, and why; if none was, nothing.
+    pub fn abandon_pair(&self, why: &str) -> Result<(), SessionError> {
+        let mut numbering = self.numbering()?;
+        let Some((number, name)) = numbering.intended.take() else { return Ok(()) };
+        journal::append(&self.path.join(JOURNAL), Event::PairAbandoned { number, name, why: why.to_owned() })
     }
 
     /// Fills a folder under a temporary name, then gives it its own. A folder of that name, should there be
@@ -143,6 +162,21 @@ impl Session {
         let pairs = self.pairs_dir();
         let aside = store::temporary_path(&pairs);
         std::fs::create_dir(&aside).map_err(SessionError::io(&aside))?;
+        let written = self.fill_and_name(record, frames, &aside);
+        if written.is_err() {
+            // On a full disk it would only take room; the first error is the one to tell.
+            let _ = std::fs::remove_dir_all(&aside);
+        }
+        written
+    }
+
+    fn fill_and_name(
+        &self,
+        record: &PairRecord,
+        frames: [&NewFrame; 2],
+        aside: &Path,
+    ) -> Result<(), SessionError> {
+        let pairs = self.pairs_dir();
         let json = to_json(&self.pair_dir(record.number).join(PAIR_RECORD), record)?;
         let mut files = vec![(PAIR_RECORD, json.as_slice())];
         for (record, frame) in [&record.off, &record.on].into_iter().zip(frames) {
@@ -160,24 +194,17 @@ impl Session {
             let file = aside.join(name);
             store::write_synced(&file, bytes).map_err(SessionError::io(&file))?;
         }
-        store::sync_folder(&aside).map_err(SessionError::io(&aside))?;
+        store::sync_folder(aside).map_err(SessionError::io(aside))?;
         let own = self.pair_dir(record.number);
-        std::fs::rename(&aside, &own).map_err(SessionError::io(&own))?;
+        std::fs::rename(aside, &own).map_err(SessionError::io(&own))?;
         store::sync_folder(&pairs).map_err(SessionError::io(&pairs))
     }
+}
 
-    /// Whether a pair's originals are still byte for byte what was stored.
-    pub fn originals_intact(&self, record: &PairRecord) -> Result<bool, SessionError> {
-        let raws = [&record.off, &record.on].map(|frame| (&frame.file, &frame.blake3));
-        let jpegs = [&record.off, &record.on].into_iter().filter_map(|frame| frame.jpeg.as_ref());
-        for (name, digest) in raws.into_iter().chain(jpegs.map(|jpeg| (&jpeg.file, &jpeg.blake3))) {
-            let file = self.pair_dir(record.number).join(name);
-            if store::digest_file(&file).map_err(SessionError::io(&file))? != *digest {
-                return Ok(false);
-            }
-        }
-        Ok(true)
-    }
+/// Number and name of the next pair that is shot.
+fn shot_name(numbering: &Numbering) -> (u32, String) {
+    let number = numbering.next_shot();
+    (number, format!("{number:04}"))
 }
 
 /// The name under which a session keeps an original: its role, and the extension that it had.

@@ -58,6 +58,19 @@ pub enum SessionError {
         /// What is wrong.
         why: String,
     },
+    /// The disk is full, or nearly.
+    #[error(
+        "the disk of {path} has {} MB left and a pair needs {} MB: make room, or go on in a session on another disk",
+        free >> 20, (needed + (1 << 20) - 1) >> 20
+    )]
+    NoRoom {
+        /// The session.
+        path: PathBuf,
+        /// Bytes that may still be written.
+        free: u64,
+        /// Bytes that must be free for a pair.
+        needed: u64,
+    },
     /// A pair of that name with other photographs is there.
     #[error(
         "a pair named {name} with other photographs is already in the session (pair {number}); rename the new files or import them into a session of their own"

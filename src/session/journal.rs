@@ -15,7 +15,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 pub enum Event {
     /// The session was made.
     SessionCreated,
-    /// A pair is about to be shot or stored; `number` is spent whatever happens.
+    /// A pair is about to be shot or stored.
     PairIntended {
         /// Its number.
         number: u32,
@@ -30,6 +30,22 @@ pub enum Event {
         name: String,
         /// What the checks said.
         verdict: Verdict,
+    },
+    /// Nothing was stored of a pair: a device or the disk gave up, or somebody wanted it so.
+    PairAbandoned {
+        /// Its number; the next pair has it.
+        number: u32,
+        /// Its name.
+        name: String,
+        /// Why.
+        why: String,
+    },
+    /// Nothing was stored of a pair: the program ended in the middle of it. Written when the session is opened again.
+    PairInterrupted {
+        /// Its number; the next pair has it.
+        number: u32,
+        /// Its name.
+        name: String,
     },
     /// Anything else that whoever writes it wants to find again.
     Note {
@@ -73,18 +89,18 @@ pub(super) fn read(path: &Path) -> Result<Vec<Entry>, SessionError> {
     whole.lines().enumerate().map(parse).collect()
 }
 
-/// Cuts off a last line that a crash left without its newline.
-pub(super) fn mend_tail(path: &Path) -> Result<(), SessionError> {
+/// Cuts off a last line that a crash left without its newline, and says how many bytes it had.
+pub(super) fn mend_tail(path: &Path) -> Result<u64, SessionError> {
     let bytes = match std::fs::read(path) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(0),
         other => other.map_err(SessionError::io(path))?,
     };
     let whole = bytes.iter().rposition(|&b| b == b'\n').map_or(0, |end| end + 1);
-    if whole == bytes.len() {
-        return Ok(());
+    if whole < bytes.len() {
+        let file = std::fs::OpenOptions::new().write(true).open(path).map_err(SessionError::io(path))?;
+        file.set_len(whole as u64).and_then(|()| file.sync_all()).map_err(SessionError::io(path))?;
     }
-    let file = std::fs::OpenOptions::new().write(true).open(path).map_err(SessionError::io(path))?;
-    file.set_len(whole as u64).and_then(|()| file.sync_all()).map_err(SessionError::io(path))
+    Ok((bytes.len() - whole) as u64)
 }
 
 /// The present moment, UTC.
@@ -129,7 +145,7 @@ mod tests {
         torn.extend(b"{\"at\":\"2026");
         std::fs::write(&path, &torn).unwrap();
         assert_eq!(read(&path).unwrap().len(), 1);
-        mend_tail(&path).unwrap();
+        assert_eq!((mend_tail(&path).unwrap(), mend_tail(&path).unwrap()), (11, 0));
         append(&path, Event::PairIntended { number: 1, name: "0001".into() }).unwrap();
         assert_eq!(read(&path).unwrap().len(), 2);
     }

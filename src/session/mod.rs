@@ -9,13 +9,19 @@
 mod commit;
 mod error;
 mod journal;
+mod recovery;
+mod room;
 pub mod store;
+mod verify;
 
 pub use commit::{
     Commit, NewFrame, NewPair, Prepared, Staged, Stager, frame_files, frame_record, original_file_name,
 };
 pub use error::SessionError;
 pub use journal::{Entry, Event, now as utc_now};
+pub use recovery::{Interrupted, Recovery};
+pub use room::Room;
+pub use verify::{Damage, Finding, Verification};
 
 use crate::pair::{PairRecord, Plan, Window};
 use serde::{Deserialize, Serialize};
@@ -62,6 +68,8 @@ pub struct Session {
     manifest: Mutex<Manifest>,
     /// What commits need to know; `None` when open for reading.
     numbering: Option<Mutex<Numbering>>,
+    /// What opening it put right.
+    recovery: Recovery,
     /// Held, never read: the lock lives as long as the file is open.
     _lock: File,
 }
@@ -72,6 +80,26 @@ struct Numbering {
     next: u32,
     /// By name: number and digests (off, on).
     names: HashMap<String, (u32, String, String)>,
+    /// Bytes of the largest pair.
+    largest: u64,
+    /// The pair that the journal says is about to be shot or stored.
+    intended: Option<(u32, String)>,
+}
+
+impl Numbering {
+    /// The number of the next pair that is shot: it skips those that imported pairs have for names.
+    fn next_shot(&self) -> u32 {
+        let free = |number: &u32| !self.names.contains_key(&format!("{number:04}"));
+        (self.next..=u32::MAX).find(free).unwrap_or(u32::MAX)
+    }
+
+    /// Takes in a pair that is on the disk.
+    fn take(&mut self, record: &PairRecord) {
+        self.next = self.next.max(record.number.saturating_add(1));
+        self.largest = self.largest.max(room::bytes_of(record));
+        let digests = (record.number, record.off.blake3.clone(), record.on.blake3.clone());
+        self.names.insert(record.name.clone(), digests);
+    }
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -119,12 +147,11 @@ impl Session {
         Self::load(path, lock, Access::Alone)
     }
 
-    /// Opens a session for writing; nobody else may have it open. Removes what a crash left behind.
+    /// Opens a session for writing; nobody else may have it open. Puts right what a crash left behind:
+    /// [`Session::recovery`].
     pub fn open(path: &Path) -> Result<Session, SessionError> {
         require_manifest(path)?;
         let lock = take_lock(path, Access::Alone)?;
-        store::remove_temporaries(path).map_err(SessionError::io(path))?;
-        journal::mend_tail(&path.join(JOURNAL))?;
         Self::load(path, lock, Access::Alone)
     }
 
@@ -142,28 +169,36 @@ impl Session {
             let path = path.to_owned();
             return Err(SessionError::TooNew { path, found: manifest.schema, known: SCHEMA });
         }
-        let mut session =
-            Session { path: path.to_owned(), manifest: Mutex::new(manifest), numbering: None, _lock: lock };
+        let mut session = Session {
+            path: path.to_owned(),
+            manifest: Mutex::new(manifest),
+            numbering: None,
+            recovery: Recovery::default(),
+            _lock: lock,
+        };
         if access == Access::Alone {
+            session.recovery = session.recover()?;
             session.numbering = Some(Mutex::new(session.count()?));
         }
         Ok(session)
     }
 
-    /// Numbers spent and names taken, out of the folders and the journal: a pair's number is never used
-    /// again, not even when its folder was moved away.
+    /// Numbers spent and names taken, out of the folders and the journal: the number of a pair that was stored is never
+    /// used again, not even when its folder was moved away.
     fn count(&self) -> Result<Numbering, SessionError> {
-        let mut numbering = Numbering { next: 1, names: HashMap::new() };
-        for record in self.pairs()? {
-            numbering.next = numbering.next.max(record.number.saturating_add(1));
-            numbering.names.insert(record.name, (record.number, record.off.blake3, record.on.blake3));
-        }
+        let mut numbering = Numbering { next: 1, ..Numbering::default() };
+        self.pairs()?.iter().for_each(|record| numbering.take(record));
         for entry in self.journal()? {
-            if let Event::PairIntended { number, .. } = entry.event {
+            if let Event::PairCommitted { number, .. } = entry.event {
                 numbering.next = numbering.next.max(number.saturating_add(1));
             }
         }
         Ok(numbering)
+    }
+
+    /// What opening the session put right.
+    pub fn recovery(&self) -> &Recovery {
+        &self.recovery
     }
 
     fn numbering(&self) -> Result<MutexGuard<'_, Numbering>, SessionError> {
@@ -246,9 +281,9 @@ impl Session {
         self.path.join("model")
     }
 
-    /// The number that the next pair gets, unless another is committed in between.
+    /// The number that the next shot pair gets, unless another is committed in between.
     pub fn next_pair_number(&self) -> Result<u32, SessionError> {
-        Ok(self.numbering()?.next)
+        Ok(self.numbering()?.next_shot())
     }
 
     /// All pairs, ascending by number. A pair whose record is damaged is an error that names it.
@@ -257,10 +292,7 @@ impl Session {
         let mut numbers = Vec::new();
         for entry in std::fs::read_dir(&folder).map_err(SessionError::io(&folder))? {
             let name = entry.map_err(SessionError::io(&folder))?.file_name();
-            let name = name.to_string_lossy();
-            if name.len() >= 4 && name.bytes().all(|b| b.is_ascii_digit()) {
-                numbers.extend(name.parse::<u32>().ok());
-            }
+            numbers.extend(verify::number_of(&name.to_string_lossy()));
         }
         numbers.sort_unstable();
         numbers.into_iter().map(|number| self.pair(number)).collect()

@@ -52,11 +52,16 @@ fn new_synced(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> io::Resul
     file.get_ref().sync_all()
 }
 
-/// Appends `line` and a newline in one write, and waits until they are on the disk.
+/// Appends `line` and a newline in one write, and waits until they are on the disk. What could not be written whole, as
+/// on a full disk, is cut off again.
 pub fn append_line_synced(path: &Path, line: &str) -> io::Result<()> {
     let mut file = OpenOptions::new().append(true).create(true).open(path)?;
-    file.write_all(format!("{line}\n").as_bytes())?;
-    file.sync_data()
+    let before = file.metadata()?.len();
+    let written = file.write_all(format!("{line}\n").as_bytes()).and_then(|()| file.sync_data());
+    written.inspect_err(|_| {
+        // If even that fails, the next opening cuts it off; the first error is the one to tell.
+        let _ = file.set_len(before);
+    })
 }
 
 /// Waits until the folder's own entries (new names, renames) are on the disk.
@@ -76,8 +81,9 @@ pub fn digest(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
 }
 
-/// Removes everything under `folder` that a crash left under a temporary name.
-pub(super) fn remove_temporaries(folder: &Path) -> io::Result<()> {
+/// Removes everything under `folder` that a crash left under a temporary name, and says what that was.
+pub(super) fn remove_temporaries(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut removed = vec![];
     for entry in std::fs::read_dir(folder)? {
         let entry = entry?;
         let is_folder = entry.file_type()?.is_dir();
@@ -87,11 +93,12 @@ pub(super) fn remove_temporaries(folder: &Path) -> io::Result<()> {
             } else {
                 std::fs::remove_file(entry.path())?;
             }
+            removed.push(entry.path());
         } else if is_folder {
-            remove_temporaries(&entry.path())?;
+            removed.extend(remove_temporaries(&entry.path())?);
         }
     }
-    Ok(())
+    Ok(removed)
 }
 
 fn folder_of(path: &Path) -> &Path {

@@ -14,6 +14,7 @@ use unlit::capture::{Desk, Engine, Events, FlashKind, RigSource, Works};
 use unlit::http::{self, StageOrder, StudioBody, StudioControl};
 use unlit::jobs::WorkError;
 use unlit::pair::Limits;
+use unlit::session::Session;
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -203,6 +204,28 @@ fn sessions_are_made_entered_and_listed() {
     assert_eq!(names, ["bowl", "vase"]);
     let (_, job) = house.post("/api/v1/pairs?wait=true", &json!({ "session": "bowl" }));
     assert_eq!(job["result"], json!({ "session": "bowl", "number": 2, "verdict": "accepted" }));
+}
+
+#[test]
+fn an_interrupted_pair_is_named_and_room_is_told_in_pairs() {
+    let house = House::open(Room::default().rig());
+    {
+        let session = Session::create(&house.session("vase"), "vase").unwrap();
+        session.intend_pair().unwrap();
+    }
+    let stream =
+        agent().get(house.url("/api/v1/events")).header("Accept", "text/event-stream").call().unwrap();
+    let mut heard = BufReader::new(stream.into_body().into_reader()).lines();
+    let (status, vase) = house.post("/api/v1/sessions", &json!({ "name": "vase" }));
+    assert_eq!(status, 200);
+    let recovered = vase["recovered"][0].as_str().unwrap();
+    assert!(recovered.contains("Pair 0001 was interrupted"), "{recovered}");
+    assert!(vase["room"]["free_bytes"].as_u64().unwrap() > 0 && vase["room"]["pairs"].is_null(), "{vase}");
+    let (told, _) = hear(&mut heard, "recovery");
+    assert_eq!((&told["words"], &told["data"]["session"]), (&json!(recovered), &json!("vase")));
+    assert_eq!(house.take_pair()["number"], 1);
+    let (_, vase) = house.get("/api/v1/sessions/vase");
+    assert!(vase["room"]["pairs"].as_u64().unwrap() > 0, "{vase}");
 }
 
 #[test]

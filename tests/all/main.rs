@@ -10,6 +10,7 @@ mod camera_faults;
 mod camera_usb;
 mod capture;
 mod decoders;
+mod disk;
 mod evaluate;
 mod experiments;
 mod export;

@@ -6,7 +6,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use unlit::pair::{Reason, ReasonCode, Settings, Verdict};
-use unlit::session::{Commit, Event, NewFrame, NewPair, Session, SessionError};
+use unlit::progress::Progress;
+use unlit::session::{Commit, Damage, Event, NewFrame, NewPair, Session, SessionError, Verification};
 
 fn frame<'a>(bytes: &'a [u8], original_name: &'a str) -> NewFrame<'a> {
     NewFrame { bytes, original_name, settings: Settings::default(), prepared: None, jpeg: None }
@@ -53,9 +54,9 @@ fn a_committed_pair_is_there_byte_for_byte_after_reopening() {
     assert_eq!((second.number, second.name.as_str()), (2, "0002"));
     assert_eq!((first.off.file.as_str(), first.on.file.as_str()), ("off.dng", "on.cr2"));
     assert_eq!(std::fs::read(session.pair_dir(1).join("on.cr2")).unwrap(), b"lit");
-    assert!(session.originals_intact(&first).unwrap());
+    assert!(session.verify_pair(first.number).is_empty());
     std::fs::write(session.pair_dir(1).join("off.dng"), b"dork").unwrap();
-    assert!(!session.originals_intact(&first).unwrap());
+    assert!(!session.verify_pair(first.number).is_empty());
 }
 
 #[test]
@@ -202,10 +203,141 @@ fn kill_9_at_any_moment_loses_nothing_that_was_acknowledged() {
         for number in &acknowledged {
             assert!(numbers.contains(number), "pair {number} was acknowledged and is lost");
         }
-        assert!(pairs.iter().all(|p| session.originals_intact(p).unwrap()));
+        assert!(pairs.iter().all(|p| session.verify_pair(p.number).is_empty()));
         assert_eq!(temporaries(home.path()), Vec::<String>::new());
         session.journal().unwrap();
     }
     assert!(acknowledged.len() >= 12);
     assert!(acknowledged.is_sorted_by(|a, b| a < b), "a number was given twice: {acknowledged:?}");
+}
+
+#[test]
+fn a_pair_that_was_begun_and_not_stored_is_named_and_its_number_is_used_again() {
+    let home = tempfile::tempdir().unwrap();
+    let session = Session::create(home.path(), "bath").unwrap();
+    stored(session.commit_pair(pair(None, b"1", b"2")).unwrap());
+    assert_eq!(session.intend_pair().unwrap(), 2);
+    // As a killed program leaves it: a stump of a folder, half a line.
+    drop(session);
+    std::fs::create_dir(home.path().join("pairs/.tmp-1-1")).unwrap();
+    std::fs::write(home.path().join("pairs/.tmp-1-1/off.dng"), b"half").unwrap();
+    let journal = home.path().join("journal.jsonl");
+    let mut torn = std::fs::read(&journal).unwrap();
+    torn.extend(b"{\"at\":");
+    std::fs::write(&journal, torn).unwrap();
+
+    let session = Session::open(home.path()).unwrap();
+    let recovery = session.recovery();
+    assert_eq!(
+        recovery.interrupted.iter().map(|p| (p.number, p.name.as_str())).collect::<Vec<_>>(),
+        [(2, "0002")]
+    );
+    assert_eq!((recovery.removed.as_slice(), recovery.cut), (&["pairs/.tmp-1-1".into()][..], 6));
+    assert!(recovery.sentences()[0].contains("Pair 0002 was interrupted"), "{:?}", recovery.sentences());
+    assert_eq!(session.next_pair_number().unwrap(), 2);
+    let again = stored(session.commit_pair(pair(None, b"3", b"4")).unwrap());
+    assert_eq!(again.number, 2);
+    drop(session);
+    assert_eq!(Session::open(home.path()).unwrap().recovery(), &Default::default(), "told once");
+}
+
+#[test]
+fn a_pair_whose_folder_is_whole_is_stored_whatever_the_journal_lacks() {
+    let home = tempfile::tempdir().unwrap();
+    let session = Session::create(home.path(), "bath").unwrap();
+    let record = stored(session.commit_pair(pair(None, b"1", b"2")).unwrap());
+    drop(session);
+    let journal = home.path().join("journal.jsonl");
+    let text = std::fs::read_to_string(&journal).unwrap();
+    let (before, _) = text.trim_end().rsplit_once('\n').unwrap();
+    std::fs::write(&journal, format!("{before}\n")).unwrap();
+
+    let session = Session::open(home.path()).unwrap();
+    assert_eq!(session.recovery().completed, [1]);
+    assert_eq!((session.pairs().unwrap(), session.next_pair_number().unwrap()), (vec![record], 2));
+    assert!(session.verify(&Progress::silent()).unwrap().findings.is_empty());
+}
+
+#[test]
+fn an_abandoned_pair_gives_its_number_back_and_says_why() {
+    let home = tempfile::tempdir().unwrap();
+    let session = Session::create(home.path(), "bath").unwrap();
+    session.intend_pair().unwrap();
+    session.abandon_pair("mirror up").unwrap();
+    session.abandon_pair("nothing was intended").unwrap();
+    assert_eq!(stored(session.commit_pair(pair(None, b"1", b"2")).unwrap()).number, 1);
+    let events: Vec<Event> = session.journal().unwrap().into_iter().map(|e| e.event).collect();
+    let (number, name) = (1, "0001".to_owned());
+    assert_eq!(events[2], Event::PairAbandoned { number, name: name.clone(), why: "mirror up".into() });
+    assert_eq!(events[3..].len(), 2, "{events:?}");
+    drop(session);
+    assert_eq!(Session::open(home.path()).unwrap().recovery(), &Default::default());
+}
+
+#[test]
+fn verify_names_every_damage_and_nothing_else() {
+    let home = tempfile::tempdir().unwrap();
+    let session = Session::create(home.path(), "bath").unwrap();
+    for n in 1..=5u8 {
+        stored(session.commit_pair(pair(None, &[n; 50], &[n + 100; 70])).unwrap());
+    }
+    let whole = session.verify(&Progress::silent()).unwrap();
+    assert!(whole.is_whole() && whole.findings.is_empty(), "{whole:?}");
+    assert_eq!((whole.pairs, whole.originals, whole.bytes), (5, 10, 5 * 120));
+
+    let at = |number: u32, name: &str| session.pair_dir(number).join(name);
+    let mut altered = std::fs::read(at(1, "off.dng")).unwrap();
+    altered[49] ^= 1;
+    std::fs::write(at(1, "off.dng"), altered).unwrap();
+    std::fs::write(at(2, "on.cr2"), b"short").unwrap();
+    std::fs::remove_file(at(3, "off.dng")).unwrap();
+    std::fs::write(at(4, "pair.json"), b"{").unwrap();
+    std::fs::remove_dir_all(session.pair_dir(5)).unwrap();
+    std::fs::write(at(1, "off.xmp"), b"<x/>").unwrap();
+    std::fs::create_dir(session.pairs_dir().join("holidays")).unwrap();
+
+    let found = session.verify(&Progress::silent()).unwrap();
+    let told: Vec<(&str, Damage)> =
+        found.findings.iter().map(|f| (f.path.to_str().unwrap(), f.damage)).collect();
+    assert_eq!(
+        told,
+        [
+            ("pairs/0001/off.dng", Damage::Altered),
+            ("pairs/0001/off.xmp", Damage::Unknown),
+            ("pairs/0002/on.cr2", Damage::Altered),
+            ("pairs/0003/off.dng", Damage::Missing),
+            ("pairs/0004/pair.json", Damage::Unreadable),
+            ("pairs/0005", Damage::Missing),
+            ("pairs/holidays", Damage::Unknown),
+        ]
+    );
+    assert!(!found.is_whole());
+    // The same from the command line, while another reads.
+    drop(session);
+    let reader = Session::open_shared(home.path()).unwrap();
+    let unlit = Command::new(env!("CARGO_BIN_EXE_unlit"))
+        .args(["session", "verify", home.path().to_str().unwrap(), "--json"])
+        .output()
+        .unwrap();
+    assert_eq!(unlit.status.code(), Some(1));
+    let printed: Verification = serde_json::from_slice(&unlit.stdout).unwrap();
+    assert_eq!(printed, found);
+    drop(reader);
+}
+
+#[test]
+fn every_byte_of_an_original_counts() {
+    let home = tempfile::tempdir().unwrap();
+    let session = Session::create(home.path(), "bath").unwrap();
+    let bytes: Vec<u8> = (0..200).collect();
+    stored(session.commit_pair(pair(None, &bytes, b"2")).unwrap());
+    let file = session.pair_dir(1).join("off.dng");
+    for at in 0..bytes.len() {
+        let mut altered = bytes.clone();
+        altered[at] = altered[at].wrapping_add(1);
+        std::fs::write(&file, altered).unwrap();
+        assert_eq!(session.verify_pair(1).len(), 1, "byte {at}");
+    }
+    std::fs::write(&file, &bytes).unwrap();
+    assert_eq!(session.verify_pair(1), []);
 }

@@ -30,6 +30,7 @@ test("the space bar takes a pair, which is listed with thumbnails and verdict", 
     return images.length === 2 && images.every((image) => image.complete && image.naturalWidth > 100);
   });
   await page.getByText("stop 2 of").waitFor();
+  await page.getByText(/room for \d+ more/).waitFor();
   await shot(page, "pair-1280");
   assert.deepEqual(complaints, []);
   await page.close();

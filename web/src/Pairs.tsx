@@ -3,9 +3,13 @@ import type { Live } from "./live";
 import { Reasons } from "./Reasons";
 import { counted, words } from "./words";
 
+/** With room for fewer pairs the disk should be looked after. */
+const FEW = 20;
+
 export function Pairs({ live }: { live: Live }) {
   const rejected = live.pairs.filter((pair) => pair.verdict === "rejected").length;
   const good = live.pairs.length - rejected;
+  const room = live.session?.room?.pairs;
   return (
     <section class="pairs" aria-labelledby="pairs">
       <div class="head">
@@ -14,6 +18,7 @@ export function Pairs({ live }: { live: Live }) {
           <span class="dim">
             {counted(good, "good", "good")}
             {rejected > 0 && `, ${rejected} rejected`}
+            {room != null && <span class={room < FEW ? "scarce" : undefined}>, {words.room(room)}</span>}
           </span>
         )}
       </div>

@@ -157,6 +157,7 @@ export interface Session {
   region?: Region | null;
   confirmed: string[];
   results: { name: string; url: string }[];
+  room?: { free_bytes: number; pairs?: number | null } | null;
 }
 
 export interface Studio {

@@ -16,7 +16,7 @@ use crate::jobs::{Queue, WorkError};
 use crate::pair::{PairRecord, Plan, Verdict, Window};
 use crate::pipeline::energy::{self, FlashAccount};
 use crate::progress::Progress;
-use crate::session::{self, Session, SessionError};
+use crate::session::{self, Room, Session, SessionError};
 use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -96,6 +96,10 @@ pub struct SessionSummary {
     pub confirmed: Vec<String>,
     /// Finished results, paths inside the session.
     pub results: Vec<String>,
+    /// Room on its disk.
+    pub room: Option<Room>,
+    /// What had to be put right when it was opened, in sentences; only of a session that is open for writing.
+    pub recovered: Vec<String>,
     /// Why nothing else is known of it, if so.
     pub problem: Option<String>,
 }
@@ -108,11 +112,14 @@ struct Sessions {
 }
 
 impl Sessions {
-    fn get(&mut self, folder: &Path, name: &str) -> Result<Arc<Session>, DeskError> {
+    fn get(&mut self, folder: &Path, name: &str, events: &Events) -> Result<Arc<Session>, DeskError> {
         if let Some(session) = self.open.get(name) {
             return Ok(session.clone());
         }
         let session = Arc::new(found(Session::open(&place_of(folder, name)?), name)?);
+        for sentence in session.recovery().sentences() {
+            events.tell(Topic::Recovery, sentence, json!({ "code": "session_recovered", "session": name }));
+        }
         self.open.insert(name.to_owned(), session.clone());
         Ok(session)
     }
@@ -222,7 +229,7 @@ impl Desk {
                 sessions.open.insert(name.to_owned(), session.clone());
                 session
             } else {
-                sessions.get(&self.0.folder, name)?
+                sessions.get(&self.0.folder, name, &self.0.events)?
             };
             sessions.current = Some(name.to_owned());
             (session, made)
@@ -233,7 +240,7 @@ impl Desk {
 
     /// A session that is there; kept open, and thereby locked, from now on.
     pub fn session(&self, name: &str) -> Result<Arc<Session>, DeskError> {
-        self.sessions().get(&self.0.folder, name)
+        self.sessions().get(&self.0.folder, name, &self.0.events)
     }
 
     /// The named session, else the current one, else the day's, made if need be.
@@ -290,6 +297,8 @@ impl Desk {
                 .filter(|file| session.path().join(file).is_file())
                 .map(str::to_owned)
                 .collect(),
+            room: session.room().ok(),
+            recovered: session.recovery().sentences(),
             problem: None,
         })
     }
@@ -332,6 +341,8 @@ fn unreadable(name: &str, error: &DeskError) -> SessionSummary {
         region: None,
         confirmed: Vec::new(),
         results: Vec::new(),
+        room: None,
+        recovered: Vec::new(),
         problem: Some(error.to_string()),
     }
 }
