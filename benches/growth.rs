@@ -3,7 +3,7 @@
 //!
 //!     cargo bench --profile dev --bench growth [-- PLOT.svg] [-- views] [-- megapixels] [-- texels] [-- triangles] [-- large]
 //!
-//! Without a name all are run. `large` is up to three views of 54 megapixels, in pieces of 1.6 GB (what 6 GB leave for
+//! Without a name all are run. `large` is up to three views of 54 megapixels, in pieces of 1.5 GB (what 6 GB leave for
 //! them) and of half of that: 20 minutes on two cores. Larger photographs are the birdbath's, interpolated and given
 //! noise of their own: the same scene at finer sampling, without finer detail. Larger meshes have every triangle cut into
 //! four.
@@ -31,6 +31,7 @@ use unlit::codec::raw;
 use unlit::pipeline::process::{ProcessOptions, process};
 use unlit::progress::Progress;
 use unlit::raster::Image;
+use unlit::reflectance::pieces::PIXEL;
 use unlit::reflectance::stage::Stage;
 use unlit::scene::read_obj;
 use unlit::session::Session;
@@ -50,6 +51,15 @@ struct Job {
 
 const USUAL: Job = Job { views: 24, pixels: 1, texels: 1024, cuts: 0, piece: None };
 const LARGE: Job = Job { views: 3, pixels: 15, texels: 8192, cuts: 0, piece: None };
+
+/// Memory for the views of one piece, GB: what 6 GB leave for it with a million triangles, and half of that.
+const PIECES: [f64; 2] = [1.5, 0.75];
+
+/// Share of the views that see a piece: of the birdbath's 24 in 8 pieces.
+const SEEN: f64 = 0.45;
+
+/// What rims add across a piece in every view, pixels: on either side 12 and two patches of some 17.
+const RIM_ACROSS: f64 = 92.0;
 
 /// The birdbath's sensor: variance per DN of light, and noise in the dark, DN.
 const GAIN: f32 = 0.295;
@@ -106,7 +116,7 @@ fn main() {
     if wanted("large") {
         heading("large, GB a piece");
         let [few, many] =
-            [1.6, 0.8].map(|piece| told(piece, run(folder.path(), Job { piece: Some(piece), ..LARGE })));
+            PIECES.map(|piece| told(piece, run(folder.path(), Job { piece: Some(piece), ..LARGE })));
         estimate(&few, &many);
     }
     if let Some(path) = plots_to.first().filter(|_| !plots.is_empty()) {
@@ -136,24 +146,28 @@ fn told(amount: f64, cost: Cost) -> Cost {
 }
 
 /// 104 pairs of 50.6 megapixels, from a few large ones solved in fewer and in more pieces. A first look costs by the
-/// view, a second one by the look and by the pixels that show the object, texels by those pixels. Pieces of the same
-/// memory show so many pixels, however many views share them.
+/// view, a second one by the look and by the pixels that show the object, texels by those pixels. A piece holds as many
+/// pixels however many views share them; the more views, the smaller its part of the surface and the more of it is rim.
 fn estimate(few: &Cost, many: &Cost) {
     let (views, pixels) = (few.used as f64, (600 * 400 * LARGE.pixels * LARGE.pixels) as f64);
     let more = 104.0 * 50.6e6 / (views * pixels);
     assert!(many.looks > few.looks, "smaller pieces must need more looks");
     let a_look = (many.of("second") - few.of("second")) / (many.looks as f64 - few.looks as f64);
     let by_pixels = few.of("second") - a_look * few.looks as f64;
-    let seen = few.looks as f64 / few.pieces as f64 / views;
-    let pieces = few.pieces as f64 * more;
-    let looks = pieces * seen * 104.0;
+    let with_rim = |views: f64| {
+        let side = (1e9 * PIECES[0] / PIXEL / views).sqrt();
+        (side / (side - RIM_ACROSS)).powi(2)
+    };
+    let again = with_rim(104.0 * SEEN) / with_rim(views);
+    let pieces = few.pieces as f64 * more * again;
+    let looks = pieces * SEEN * 104.0;
     let hours = |seconds: f64| seconds / 3600.0;
     let parts = [
         ("first look", few.of("first") * more),
         ("bounces", few.of("bounces") * 104.0 / views),
         ("raws again", a_look * looks),
-        ("second look", by_pixels * more),
-        ("texels", few.of("texels") * more),
+        ("second look", by_pixels * more * again),
+        ("texels", few.of("texels") * more * again),
         ("writing", few.of("writing")),
     ];
     println!("104 pairs of 50.6 MP in {pieces:.0} pieces, {looks:.0} looks of {a_look:.1} CPU-s:");

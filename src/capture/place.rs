@@ -360,7 +360,7 @@ impl Place for CardPlace<'_> {
             flash: shots.flash.clone(),
         };
         self.write(&shot, &shots)?;
-        note(self.session, "calibration_shot_stored", json!({ "name": self.name }))?;
+        note(self.session, session::SHOT_STORED, json!({ "name": self.name }))?;
         self.stored = Some(shot);
         Ok(())
     }

@@ -20,8 +20,8 @@ pub(super) struct Args {
     /// Threads to compute on; all cores by default. Results are the same for any number.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Memory that the run may take, GB; what needs more is solved in pieces, the larger the faster, and a run that was
-    /// stopped goes on at the first piece that is missing.
+    /// Memory that solving the texture may take, GB; what needs more is solved in pieces, the larger the faster, and a
+    /// run that was stopped goes on at the first piece that is missing.
     #[arg(long, value_name = "GB", default_value_t = MEMORY, value_parser = gigabytes)]
     memory: f64,
     /// Also per-view images: derived/views/NAME/{known,irradiance,reflectance}.exr.

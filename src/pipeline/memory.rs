@@ -1,4 +1,4 @@
-//! What memory a run takes, and what of it is left for the views of one piece of the texture.
+//! What memory solving a texture takes, and what of it is left for the views of one piece of the texture.
 //!
 //! Figures are those of the birdbath with photographs, texture and mesh made larger (`benches/growth.rs`).
 

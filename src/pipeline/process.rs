@@ -39,7 +39,7 @@ pub struct ProcessOptions {
     pub views: bool,
     /// Where the object's texture coordinates come from.
     pub uvs: UvChoice,
-    /// Memory that the run may take, GB; by default [`super::memory::MEMORY`]. What needs more is solved in pieces.
+    /// Memory that solving the texture may take, GB; by default [`super::memory::MEMORY`]. What needs more is solved in pieces.
     pub memory: Option<f64>,
     /// Memory for the views of one piece, GB, should less be wanted than there is room for: of a run that is stopped one
     /// piece is lost.
@@ -227,7 +227,7 @@ pub fn process(
 ) -> Result<ProcessSummary, ProcessError> {
     let mut inputs = Inputs::read(session)?;
     let needs = Needs::of(&inputs.scene.meshes, &inputs.matched);
-    let fitting = |object: &Mesh| solve::texture_size(options, object, &inputs.matched, &needs);
+    let fitting = |object: &Mesh| solve::texture_size(options, object, &inputs.matched);
     let choice = (options.uvs, options.texture_size.is_some());
     let (size, uvs) = uvs::settle(&mut inputs.scene, choice, fitting, progress)?;
     inputs.uvs = (options.uvs, uvs);

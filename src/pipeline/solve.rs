@@ -6,7 +6,6 @@
 use super::cost::Costs;
 use super::develop::{DevelopError, known_light, known_sites, lamp};
 use super::manifest::{StageManifest, digest};
-use super::memory::Needs;
 use super::process::{Inputs, LARGEST_TEXTURE, ProcessError, ProcessOptions, io};
 use crate::calibration::FlashCalibration;
 use crate::pair::PairRecord;
@@ -25,14 +24,12 @@ pub(super) fn texture_size(
     options: &ProcessOptions,
     object: &Mesh,
     matched: &[(PairRecord, Camera)],
-    needs: &Needs,
 ) -> Result<usize, ProcessError> {
-    let fits = |size| needs.for_a_piece(size, options).map(|_| size);
     if let Some(size) = options.texture_size {
         if !(16..=LARGEST_TEXTURE).contains(&size) {
             return Err(ProcessError::TextureSize(size));
         }
-        return fits(size);
+        return Ok(size);
     }
     let n = object.positions.len().max(1) as f32;
     let centre = (object.positions.iter().copied().sum::<Vec3>() / n).as_dvec3();
@@ -40,7 +37,7 @@ pub(super) fn texture_size(
         .iter()
         .map(|(_, camera)| (camera.centre() - centre).length() / camera.intrinsics.focal.max_element())
         .fold(f64::INFINITY, f64::min);
-    fits(atlas::fitting_size(object, finest))
+    Ok(atlas::fitting_size(object, finest))
 }
 
 /// The scene made ready for light: meshes face the cameras that see them. Gives the names of those turned.

@@ -120,22 +120,32 @@ impl Session {
             flash: new.flash,
         };
 
-        let journal_file = self.path.join(JOURNAL);
         let own = (number, record.name.clone());
         if numbering.intended.as_ref() != Some(&own) {
             self.require_room_for(&numbering, Some(room::bytes_of(&record)))?;
             let (number, name) = own;
-            journal::append(&journal_file, Event::PairIntended { number, name })?;
+            self.append(&mut numbering, Event::PairIntended { number, name })?;
         }
         numbering.intended = None;
-        self.write_pair(&record, [&new.off, &new.on])?;
-        numbering.take(&record);
         let (name, verdict) = (record.name.clone(), record.verdict);
-        // The pair is there, and its folder says so; the next opening says it in the journal, too.
-        if let Err(error) = journal::append(&journal_file, Event::PairCommitted { number, name, verdict }) {
-            tracing::error!("pair {number} is stored, but the journal could not be written: {error}");
+        match self.write_pair(&record, [&new.off, &new.on]) {
+            // The pair is there, and its folder says so; the journal hears of it as soon as it can be written.
+            Ok(()) => {
+                numbering.take(&record);
+                self.append_or_owe(&mut numbering, Event::PairCommitted { number, name, verdict });
+                Ok(Commit::Stored(record))
+            }
+            // It has its place, but the disk failed afterwards: its number is spent, and the next opening settles it.
+            Err(error) if self.pair_dir(number).exists() => {
+                numbering.take(&record);
+                Err(error)
+            }
+            Err(error) => {
+                let why = error.to_string();
+                self.append_or_owe(&mut numbering, Event::PairAbandoned { number, name, why });
+                Err(error)
+            }
         }
-        Ok(Commit::Stored(record))
     }
 
     /// Writes to the journal that the next pair is about to be shot, and gives its number. Refuses where there is no
@@ -144,12 +154,13 @@ impl Session {
         let mut numbering = self.numbering()?;
         let (number, name) = shot_name(&numbering);
         self.require_room_for(&numbering, None)?;
-        journal::append(&self.path.join(JOURNAL), Event::PairIntended { number, name: name.clone() })?;
+        self.append(&mut numbering, Event::PairIntended { number, name: name.clone() })?;
         numbering.intended = Some((number, name));
         Ok(number)
     }
 
-    /// Writes to the journal that nothing was stored of the pair that was intended, and why; if none was, nothing.
+    /// Writes to the journal that nothing was stored of the pair that was intended, and why; if none was, or storing it
+    /// has failed and was written down, nothing.
     pub fn abandon_pair(&self, why: &str) -> Result<(), SessionError> {
         let mut numbering = self.numbering()?;
         let Some((number, name)) = numbering.intended.take() else { return Ok(()) };

@@ -60,7 +60,7 @@ pub enum SessionError {
     },
     /// The disk is full, or nearly.
     #[error(
-        "the disk of {path} has {} MB left and a pair needs {} MB: make room, or go on in a session on another disk",
+        "the disk of {path} has {} MB left, and {} MB must be free before a pair (64 of them stay so): make room, or go on in a session on another disk",
         free >> 20, (needed + (1 << 20) - 1) >> 20
     )]
     NoRoom {

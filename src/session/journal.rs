@@ -6,6 +6,8 @@ use super::SessionError;
 use super::store;
 use crate::pair::Verdict;
 use serde::{Deserialize, Serialize};
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -70,7 +72,24 @@ pub struct Entry {
 pub(super) fn append(path: &Path, event: Event) -> Result<(), SessionError> {
     let line = serde_json::to_string(&Entry { at: now(), event })
         .map_err(|e| SessionError::Damaged { path: path.to_owned(), why: e.to_string() })?;
+    if !ends_whole(path).map_err(SessionError::io(path))? {
+        mend_tail(path)?;
+    }
     store::append_line_synced(path, &line).map_err(SessionError::io(path))
+}
+
+/// Whether the last line has its newline.
+fn ends_whole(path: &Path) -> std::io::Result<bool> {
+    let mut file = match File::open(path) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(true),
+        other => other?,
+    };
+    let mut last = [b'\n'];
+    if file.metadata()?.len() > 0 {
+        file.seek(SeekFrom::End(-1))?;
+        file.read_exact(&mut last)?;
+    }
+    Ok(last == [b'\n'])
 }
 
 /// All entries, oldest first. A last line without its newline was never acknowledged and does not count.
@@ -145,6 +164,9 @@ mod tests {
         torn.extend(b"{\"at\":\"2026");
         std::fs::write(&path, &torn).unwrap();
         assert_eq!(read(&path).unwrap().len(), 1);
+        append(&path, Event::SessionCreated).unwrap();
+        assert_eq!(read(&path).unwrap().len(), 2, "a line does not grow out of what is left of another");
+        std::fs::write(&path, &torn).unwrap();
         assert_eq!((mend_tail(&path).unwrap(), mend_tail(&path).unwrap()), (11, 0));
         append(&path, Event::PairIntended { number: 1, name: "0001".into() }).unwrap();
         assert_eq!(read(&path).unwrap().len(), 2);

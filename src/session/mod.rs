@@ -21,7 +21,7 @@ pub use error::SessionError;
 pub use journal::{Entry, Event, now as utc_now};
 pub use recovery::{Interrupted, Recovery};
 pub use room::Room;
-pub use verify::{Damage, Finding, Verification};
+pub use verify::{Damage, Finding, SHOT_STORED, Verification};
 
 use crate::pair::{PairRecord, Plan, Window};
 use serde::{Deserialize, Serialize};
@@ -31,7 +31,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// The layout that this program writes.
-pub const SCHEMA: u32 = 1;
+pub const SCHEMA: u32 = 2;
 
 const MANIFEST: &str = "session.json";
 const JOURNAL: &str = "journal.jsonl";
@@ -84,6 +84,8 @@ struct Numbering {
     largest: u64,
     /// The pair that the journal says is about to be shot or stored.
     intended: Option<(u32, String)>,
+    /// What the journal must still hear: it could not be written when it happened.
+    owed: Option<Event>,
 }
 
 impl Numbering {
@@ -177,8 +179,10 @@ impl Session {
             _lock: lock,
         };
         if access == Access::Alone {
-            session.recovery = session.recover()?;
-            session.numbering = Some(Mutex::new(session.count()?));
+            // Pairs that cannot be read are told before anything is called settled.
+            let mut numbering = session.count()?;
+            session.recovery = session.recover(&mut numbering)?;
+            session.numbering = Some(Mutex::new(numbering));
         }
         Ok(session)
     }
@@ -317,8 +321,26 @@ impl Session {
     /// Appends an event to the journal; on the disk when this returns.
     pub fn record(&self, event: Event) -> Result<(), SessionError> {
         // Appending needs the right to write, and no other line in between.
-        let _alone = self.numbering()?;
-        journal::append(&self.path.join(JOURNAL), event)
+        self.append(&mut *self.numbering()?, event)
+    }
+
+    /// Appends what is owed to the journal, and an event.
+    fn append(&self, numbering: &mut Numbering, event: Event) -> Result<(), SessionError> {
+        let file = self.path.join(JOURNAL);
+        if let Some(owed) = numbering.owed.clone() {
+            journal::append(&file, owed)?;
+            numbering.owed = None;
+        }
+        journal::append(&file, event)
+    }
+
+    /// The same of what has happened already, whatever the disk says: if it cannot be written now, it is owed.
+    fn append_or_owe(&self, numbering: &mut Numbering, event: Event) {
+        if let Err(error) = self.append(numbering, event.clone()) {
+            tracing::error!("the journal could not be written: {error}");
+            // One place is enough: nothing else is begun before it is paid.
+            numbering.owed.get_or_insert(event);
+        }
     }
 }
 

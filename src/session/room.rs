@@ -31,10 +31,12 @@ pub(super) fn bytes_of(record: &PairRecord) -> u64 {
 impl Session {
     /// Room for more pairs.
     pub fn room(&self) -> Result<Room, SessionError> {
-        let largest_pair = match &self.numbering {
-            Some(_) => self.numbering()?.largest,
-            None => self.pairs()?.iter().map(bytes_of).max().unwrap_or(0),
-        };
+        self.room_after(&self.pairs()?)
+    }
+
+    /// The same, its pairs being these.
+    pub fn room_after(&self, pairs: &[PairRecord]) -> Result<Room, SessionError> {
+        let largest_pair = pairs.iter().map(bytes_of).max().unwrap_or(0);
         Ok(Room { free: self.free()?, largest_pair })
     }
 

@@ -59,7 +59,7 @@ pub fn append_line_synced(path: &Path, line: &str) -> io::Result<()> {
     let before = file.metadata()?.len();
     let written = file.write_all(format!("{line}\n").as_bytes()).and_then(|()| file.sync_data());
     written.inspect_err(|_| {
-        // If even that fails, the next opening cuts it off; the first error is the one to tell.
+        // If even that fails, the next line does it; the first error is the one to tell.
         let _ = file.set_len(before);
     })
 }

@@ -12,6 +12,9 @@ use std::path::{Path, PathBuf};
 /// Name of the record beside a calibration shot's frames.
 const SHOT_RECORD: &str = "shot.json";
 
+/// What the journal's note of a stored card shot is called.
+pub const SHOT_STORED: &str = "calibration_shot_stored";
+
 /// What is wrong with a file or folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -44,9 +47,9 @@ pub struct Verification {
     pub pairs: usize,
     /// Calibration shots that were looked at.
     pub calibration_shots: usize,
-    /// Originals whose checksum was computed, and their bytes.
+    /// Originals that are as they were stored.
     pub originals: usize,
-    /// Bytes.
+    /// Their bytes.
     pub bytes: u64,
     /// What is not as it was stored, by path.
     pub findings: Vec<Finding>,
@@ -122,8 +125,12 @@ impl Check<'_> {
         let mut folders = vec![];
         for entry in entries {
             match entry {
+                Ok(entry) if is_temporary(&entry.path()) => {
+                    let why = "left by an interrupted run; opening the session removes it";
+                    self.tell(&entry.path(), Damage::Unknown, why);
+                }
                 Ok(entry) if entry.path().is_dir() => folders.push(entry.path()),
-                Ok(entry) => self.tell(&entry.path(), Damage::Unknown, "a folder was expected here"),
+                Ok(entry) => self.loose(&entry.path()),
                 Err(error) => self.tell(folder, Damage::Unreadable, error.to_string()),
             }
         }
@@ -133,13 +140,6 @@ impl Check<'_> {
 
     fn pair(&mut self, folder: &Path) {
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if name.starts_with(store::TEMPORARY_PREFIX) {
-            return self.tell(
-                folder,
-                Damage::Unknown,
-                "left by an interrupted run; opening the session removes it",
-            );
-        }
         let Some(number) = number_of(&name) else {
             return self.tell(folder, Damage::Unknown, "its name is no pair's number");
         };
@@ -150,6 +150,26 @@ impl Check<'_> {
             self.tell(&folder.join(PAIR_RECORD), Damage::Altered, why);
         }
         self.frames(folder, PAIR_RECORD, [&record.off, &record.on]);
+    }
+
+    /// A file where folders are: copies of card shots begin with the start of their BLAKE3.
+    fn loose(&mut self, file: &Path) {
+        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let digest = name.split_once('_').map(|(digest, _)| digest);
+        let Some(digest) = digest.filter(|d| d.len() == 8 && d.bytes().all(|b| b.is_ascii_hexdigit())) else {
+            return self.tell(file, Damage::Unknown, "a folder was expected here");
+        };
+        match (store::digest_file(file), std::fs::metadata(file)) {
+            (Ok(now), Ok(data)) if now.starts_with(digest) => {
+                self.found.originals += 1;
+                self.found.bytes += data.len();
+            }
+            (Ok(now), _) => {
+                let why = format!("its BLAKE3 is {}..., and {digest}... was stored", start(&now));
+                self.tell(file, Damage::Altered, why);
+            }
+            (Err(error), _) => self.tell(file, Damage::Unreadable, error.to_string()),
+        }
     }
 
     fn shot(&mut self, folder: &Path) {
@@ -223,10 +243,28 @@ impl Check<'_> {
             Ok(entries) => entries,
             Err(error) => return self.tell(&file, Damage::Unreadable, error.to_string()),
         };
+        if entries.is_empty() {
+            return self.tell(&file, Damage::Missing, "the journal is not there, or empty");
+        }
         let mut stored: BTreeMap<u32, &str> = BTreeMap::new();
+        let mut begun = BTreeSet::new();
         for entry in &entries {
-            if let Event::PairCommitted { number, name, .. } = &entry.event {
-                stored.insert(*number, name);
+            match &entry.event {
+                Event::PairIntended { number, .. } => {
+                    begun.insert(*number);
+                }
+                Event::PairCommitted { number, name, .. } => {
+                    stored.insert(*number, name);
+                }
+                Event::Note { what, detail } if what == SHOT_STORED => {
+                    let name = detail.get("name").and_then(|name| name.as_str()).unwrap_or_default();
+                    let folder = self.session.calibration_dir().join("flash").join(name);
+                    if !folder.is_dir() {
+                        let why = "this card shot was stored and is not there any more";
+                        self.tell(&folder, Damage::Missing, why);
+                    }
+                }
+                _ => {}
             }
         }
         let names = folders.iter().filter_map(|folder| folder.file_name());
@@ -236,10 +274,18 @@ impl Check<'_> {
             self.tell(&self.session.pair_dir(*number), Damage::Missing, why);
         }
         for number in there.iter().filter(|number| !stored.contains_key(number)) {
-            let why = "the journal does not know this pair; it was copied here, or the journal is not this session's";
+            let why = if begun.contains(number) {
+                "the journal does not call it stored; opening the session for writing settles that"
+            } else {
+                "the journal does not know this pair; it was copied here, or the journal is not this session's"
+            };
             self.tell(&self.session.pair_dir(*number), Damage::Unknown, why);
         }
     }
+}
+
+fn is_temporary(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(store::TEMPORARY_PREFIX))
 }
 
 fn start(digest: &str) -> &str {

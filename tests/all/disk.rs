@@ -7,8 +7,9 @@ use crate::samples::shared;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
+use unlit::pair::Settings;
 use unlit::progress::Progress;
-use unlit::session::Session;
+use unlit::session::{Commit, NewFrame, NewPair, Session};
 
 const ENOSPC: i32 = 28;
 const EROFS: i32 = 30;
@@ -171,8 +172,10 @@ fn a_slow_disk_is_waited_for() {
     let folder = tempfile::tempdir().unwrap();
     let path = with_one_pair(folder.path());
     let fault = Fault { first: u32::MAX, last: u32::MAX, errno: EIO, delay_us: 30_000 };
+    let began = std::time::Instant::now();
     let run = unlit_on(&path, fault, &texts(&import(&path, "001")));
     assert!(run.status.success(), "{run:?}");
+    assert!(began.elapsed().as_millis() > 300, "the disk was not slow");
     is_sound_and_goes_on(&path, 2, "slow");
 }
 
@@ -186,19 +189,123 @@ fn a_disk_that_fills_up_while_pairs_are_shot_loses_nothing_and_is_named() {
     let no_fault = Fault { first: u32::MAX, last: u32::MAX, errno: ENOSPC, delay_us: 0 };
     let first = run(no_fault);
     assert!(matches!(first.status.code(), Some(0 | 3)), "{first:?}");
+    let mut acknowledged = 1;
     for n in [1, 3, 5, 8] {
         let run = run(Fault { first: n, ..no_fault });
         let said = String::from_utf8_lossy(&run.stderr);
-        assert!(!said.contains("panicked"), "{n}: {said}");
+        assert!(said.contains("disk: ") && !said.contains("panicked"), "{n}: {said}");
+        let stored = matches!(run.status.code(), Some(0 | 3));
+        assert!(!stored || n > 1, "{said}");
+        acknowledged += usize::from(stored);
         let session = Session::open(&path).unwrap();
         let verification = session.verify(&Progress::silent()).unwrap();
         assert!(verification.findings.is_empty(), "{n}: {:?}", verification.findings);
-        if !matches!(run.status.code(), Some(0 | 3)) {
+        if !stored {
             assert!(said.contains("(os error 28)"), "{n}: {said}");
         }
         let numbers: Vec<u32> = session.pairs().unwrap().iter().map(|p| p.number).collect();
         assert!(numbers.iter().copied().eq(1..=numbers.len() as u32), "{n}: {numbers:?}");
+        assert!(numbers.len() >= acknowledged, "{n}: an acknowledged pair is lost: {numbers:?}");
     }
     let last = run(no_fault);
     assert!(matches!(last.status.code(), Some(0 | 3)), "{last:?}");
+}
+
+const CHILD_FOLDER: &str = "UNLIT_TEST_COMMIT_ON_A_BAD_DISK";
+
+/// Run by the test below in a process of its own: goes on whatever fails, as a daemon does.
+#[test]
+fn commits_on_a_bad_disk() {
+    let Some(folder) = std::env::var_os(CHILD_FOLDER) else { return };
+    let session = match Session::open(Path::new(&folder)) {
+        Ok(session) => session,
+        Err(error) => return println!("\nnot opened: {error}"),
+    };
+    for turn in 0..5u8 {
+        let frame = |bytes| NewFrame {
+            bytes,
+            original_name: "a.dng",
+            settings: Settings::default(),
+            prepared: None,
+            jpeg: None,
+        };
+        let (off, on) = ([turn; 3000], [turn + 100; 2000]);
+        let (off, on) = (frame(off.as_slice()), frame(on.as_slice()));
+        let pair = NewPair { name: None, off, on, reasons: vec![], flash: None };
+        let commit = session.intend_pair().and_then(|_| session.commit_pair(pair));
+        match commit {
+            Ok(Commit::Stored(record)) => println!("\ncommitted {}", record.number),
+            other => {
+                session.abandon_pair("it failed").unwrap();
+                println!("\nfailed {other:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_program_that_goes_on_after_a_disk_error_stores_the_next_pair_and_loses_none() {
+    for n in 1..100 {
+        let home = tempfile::tempdir().unwrap();
+        let path = home.path().join("bath");
+        drop(Session::create(&path, "bath").unwrap());
+        let run = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "disk::commits_on_a_bad_disk", "--nocapture"])
+            .env(CHILD_FOLDER, &path)
+            .env("LD_PRELOAD", faults())
+            .env("UNLIT_TEST_DISK_FOLDER", &path)
+            .env("UNLIT_TEST_DISK_FIRST", n.to_string())
+            .env("UNLIT_TEST_DISK_LAST", n.to_string())
+            .env("UNLIT_TEST_DISK_ERRNO", EIO.to_string())
+            .output()
+            .unwrap();
+        let (said, told) = (String::from_utf8_lossy(&run.stderr), String::from_utf8_lossy(&run.stdout));
+        let what = format!("operation {n}: {said}{told}");
+        assert!(run.status.success(), "{what}");
+        let committed: Vec<u32> =
+            told.lines().filter_map(|l| l.strip_prefix("committed ")?.parse().ok()).collect();
+        let opened = !told.contains("not opened: ");
+        let enough = !opened || committed.len() >= 4;
+        assert!(enough && committed.is_sorted(), "one error costs one pair at the most: {what}");
+        let session = Session::open(&path).unwrap();
+        let pairs: Vec<u32> = session.pairs().unwrap().iter().map(|p| p.number).collect();
+        assert!(committed.iter().all(|number| pairs.contains(number)), "{pairs:?} {what}");
+        assert!(pairs.iter().copied().eq(1..=pairs.len() as u32), "{pairs:?} {what}");
+        let verification = session.verify(&Progress::silent()).unwrap();
+        assert!(verification.findings.is_empty(), "{what}: {:?}", verification.findings);
+        assert!(session.recovery().interrupted.is_empty(), "what failed was written down: {what}");
+        if !said.contains("disk: ") {
+            assert!(n > 30, "{what}");
+            return;
+        }
+    }
+    panic!("there is no end to it");
+}
+
+#[test]
+fn a_pair_for_which_there_is_no_room_is_refused_before_anything_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let disk = folder.path().join("disk");
+    std::fs::create_dir(&disk).unwrap();
+    // The photographs lie beside the disk, the session on it.
+    let arguments = import(&folder.path().join("bath"), "001");
+    let arguments = arguments.join(" ").replacen("/bath", "/disk/bath", 1);
+    let (unlit, disk) = (env!("CARGO_BIN_EXE_unlit"), disk.display());
+    let script = format!(
+        "mount -t tmpfs -o size=60m tmpfs {disk} || exit 77
+         {unlit} new {disk}/bath >&2 || exit 78
+         {unlit} {arguments}; echo exit $?; ls {disk}/bath/pairs; cat {disk}/bath/journal.jsonl"
+    );
+    let run = Command::new("unshare").args(["-rm", "sh", "-c", &script]).output().unwrap();
+    let (said, told) = (String::from_utf8_lossy(&run.stderr), String::from_utf8_lossy(&run.stdout));
+    // A disk of its own needs a name space of its own, which not every machine grants.
+    if run.status.code() == Some(77)
+        || said.contains("unshare failed")
+        || said.contains("Operation not permitted")
+    {
+        println!("not run: this machine grants no name space: {said}");
+        return;
+    }
+    assert!(said.contains("must be free before a pair"), "{said}{told}");
+    assert!(told.contains("exit 1") && !told.contains("pair_intended") && !told.contains("0001"), "{told}");
 }

@@ -1,6 +1,7 @@
 //! The session folder: what was acknowledged is there, whole, whatever happens.
 
 use rand::{RngExt, SeedableRng};
+use serde_json::json;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -233,7 +234,9 @@ fn a_pair_that_was_begun_and_not_stored_is_named_and_its_number_is_used_again() 
         [(2, "0002")]
     );
     assert_eq!((recovery.removed.as_slice(), recovery.cut), (&["pairs/.tmp-1-1".into()][..], 6));
-    assert!(recovery.sentences()[0].contains("Pair 0002 was interrupted"), "{:?}", recovery.sentences());
+    let sentences = recovery.sentences(|_| false);
+    assert!(sentences[0].contains("Pair 0002 was interrupted") && sentences.len() == 3, "{sentences:?}");
+    assert_eq!(recovery.sentences(|name| name == "0002").len(), 2);
     assert_eq!(session.next_pair_number().unwrap(), 2);
     let again = stored(session.commit_pair(pair(None, b"3", b"4")).unwrap());
     assert_eq!(again.number, 2);
@@ -295,6 +298,17 @@ fn verify_names_every_damage_and_nothing_else() {
     std::fs::remove_dir_all(session.pair_dir(5)).unwrap();
     std::fs::write(at(1, "off.xmp"), b"<x/>").unwrap();
     std::fs::create_dir(session.pairs_dir().join("holidays")).unwrap();
+    // Card shots: copies that are named by their digest, one of them altered; and one that was stored and is gone.
+    let cards = session.calibration_dir().join("flash");
+    std::fs::create_dir(&cards).unwrap();
+    for (bytes, now) in [(b"card 1", b"card 1"), (b"card 2", b"card 3")] {
+        let digest = unlit::session::store::digest(bytes);
+        std::fs::write(cards.join(format!("{}_card.cr2", &digest[..8])), now).unwrap();
+    }
+    let gone = Event::Note { what: "calibration_shot_stored".into(), detail: json!({ "name": "d01000_1" }) };
+    session.record(gone).unwrap();
+    let altered_card =
+        format!("calibration/flash/{}_card.cr2", &unlit::session::store::digest(b"card 2")[..8]);
 
     let found = session.verify(&Progress::silent()).unwrap();
     let told: Vec<(&str, Damage)> =
@@ -302,6 +316,8 @@ fn verify_names_every_damage_and_nothing_else() {
     assert_eq!(
         told,
         [
+            (altered_card.as_str(), Damage::Altered),
+            ("calibration/flash/d01000_1", Damage::Missing),
             ("pairs/0001/off.dng", Damage::Altered),
             ("pairs/0001/off.xmp", Damage::Unknown),
             ("pairs/0002/on.cr2", Damage::Altered),
@@ -312,6 +328,7 @@ fn verify_names_every_damage_and_nothing_else() {
         ]
     );
     assert!(!found.is_whole());
+    assert_eq!(found.originals, 3 + 1, "what is altered is not counted");
     // The same from the command line, while another reads.
     drop(session);
     let reader = Session::open_shared(home.path()).unwrap();

@@ -117,8 +117,10 @@ impl Sessions {
             return Ok(session.clone());
         }
         let session = Arc::new(found(Session::open(&place_of(folder, name)?), name)?);
-        for sentence in session.recovery().sentences() {
-            events.tell(Topic::Recovery, sentence, json!({ "code": "session_recovered", "session": name }));
+        let sentences = session.recovery().sentences(|_| false);
+        if !sentences.is_empty() {
+            let data = json!({ "code": "session_recovered", "session": name });
+            events.tell(Topic::Recovery, sentences.join(" "), data);
         }
         self.open.insert(name.to_owned(), session.clone());
         Ok(session)
@@ -278,6 +280,9 @@ impl Desk {
             Some(session) => session.clone(),
             None => Arc::new(found(Session::open_shared(&place_of(&self.0.folder, name)?), name)?),
         };
+        let current = sessions.current.as_deref() == Some(name);
+        // Whoever asks for a session must not wait for this one's disk.
+        drop(sessions);
         let manifest = session.manifest();
         let pairs = session.pairs()?;
         let results = ["model/model.glb", "model/report.html", "model/reflectance.exr", "model/stddev.exr"];
@@ -287,7 +292,7 @@ impl Desk {
             plan: manifest.plan,
             region: manifest.region,
             confirmed: manifest.confirmed,
-            current: sessions.current.as_deref() == Some(name),
+            current,
             pairs: pairs.len(),
             accepted: pairs.iter().filter(|p| p.verdict == Verdict::Accepted).count(),
             has_scene: (self.0.works.has_scene)(&session),
@@ -297,8 +302,8 @@ impl Desk {
                 .filter(|file| session.path().join(file).is_file())
                 .map(str::to_owned)
                 .collect(),
-            room: session.room().ok(),
-            recovered: session.recovery().sentences(),
+            room: session.room_after(&pairs).ok(),
+            recovered: session.recovery().sentences(|name| pairs.iter().any(|p| p.name == name)),
             problem: None,
         })
     }

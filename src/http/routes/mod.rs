@@ -87,7 +87,6 @@ impl From<DeskError> for Problem {
                 SessionError::Locked { .. } => (StatusCode::CONFLICT, "session_locked"),
                 SessionError::NotEmpty { .. } => (StatusCode::CONFLICT, "folder_not_empty"),
                 SessionError::Damaged { .. } => (StatusCode::INTERNAL_SERVER_ERROR, "session_damaged"),
-                SessionError::NoRoom { .. } => (StatusCode::INSUFFICIENT_STORAGE, "disk_full"),
                 SessionError::TooNew { .. } => (StatusCode::CONFLICT, "session_too_new"),
                 _ => (StatusCode::INTERNAL_SERVER_ERROR, "session_failed"),
             },
