@@ -1,7 +1,8 @@
 //! A disk that fills up, refuses, fails or is slow at any moment: what was acknowledged is there, and people are told.
 //!
 //! The real program runs with a small library loaded before libc (`disk/faults.c`) that makes the n-th file operation
-//! below the session's folder fail, for every n.
+//! below the session's folder fail, for every n: open for writing, write, fsync, fdatasync, rename, mkdir. What only
+//! cleans up (unlink, ftruncate, rmdir) does not fail here.
 
 use crate::samples::shared;
 use std::path::{Path, PathBuf};
