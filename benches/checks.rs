@@ -78,7 +78,7 @@ fn main() {
     let earlier = BTreeMap::new();
     let stops: Vec<_> = survey.stop().into_iter().cycle().take(200).collect();
     let view = |mosaic| FrameView { mosaic, settings: &settings };
-    let files = Some(Files { off: "a", on: "b", earlier: &earlier, may_share_unlit: false });
+    let files = Some(Files { off: "a", on: "b", more: &[], earlier: &earlier, may_share_unlit: false });
     let expected = Expected { earlier: Some(&stops), files, ..Expected::default() };
     let mut reasons = 0;
     measured("all checks, against 200 earlier stops", || {

@@ -27,7 +27,7 @@
 //! | [`pair`] | pure: settings, checks and verdicts of a pair |
 //! | [`photometry`] | pure: sensor values, levels, noise, isolation of the known light |
 //! | [`raster`] | pure: images, filters, statistics |
-//! | [`progress`], [`units`] | progress and cancelling, physical quantities |
+//! | [`log`], [`progress`], [`units`] | the log's form, progress and cancelling, physical quantities |
 
 pub mod calibration;
 pub mod capture;
@@ -37,6 +37,7 @@ pub mod export;
 pub mod http;
 pub mod jobs;
 pub mod light;
+pub mod log;
 pub mod pair;
 pub mod photometry;
 pub mod pipeline;

@@ -4,8 +4,9 @@
 use super::engine::CameraState;
 use super::error::CaptureError;
 use crate::progress::Progress;
-use crate::rig::{Camera, CameraError, CameraInfo, Flash, FlashError, LockReport, LockState};
+use crate::rig::{Camera, CameraError, CameraInfo, Closer, Flash, FlashError, LockReport, LockState};
 use serde::Serialize;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// How long a pair waits for a flash controller that was pulled to be plugged in again, and how often it looks.
@@ -73,6 +74,22 @@ impl Devices {
     }
 }
 
+/// Closes the gate past whoever has the bench; nothing where no controller is open.
+#[derive(Clone, Default)]
+pub(super) struct Gate(Arc<Mutex<Option<Closer>>>);
+
+impl Gate {
+    fn is_closed_by(&self, closer: Option<Closer>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = closer;
+    }
+
+    /// Closes it now.
+    pub(super) fn close(&self) -> Result<(), FlashError> {
+        let closer = self.0.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        closer.map_or(Ok(()), |close| close())
+    }
+}
+
 /// The open devices; belongs to the engine alone.
 pub(super) struct Bench {
     open_camera: OpenCamera,
@@ -83,6 +100,9 @@ pub(super) struct Bench {
     /// How the lock stood when the open camera was locked; forgotten with every trouble.
     lock: Option<LockReport>,
     flash: Option<FlashKind>,
+    /// The gate may be open.
+    pub(super) armed: bool,
+    gate: Gate,
     /// A controller was open once, so that one that is missing now was pulled.
     had_controller: bool,
 }
@@ -96,6 +116,8 @@ impl Bench {
             chosen: None,
             lock: None,
             flash: None,
+            armed: false,
+            gate: Gate::default(),
             had_controller: false,
         }
     }
@@ -107,6 +129,11 @@ impl Bench {
             self.camera = None;
             self.lock = None;
         }
+    }
+
+    /// Closes the gate past whoever has the bench.
+    pub(super) fn gate(&self) -> Gate {
+        self.gate.clone()
     }
 
     /// The camera, opened if need be.
@@ -124,6 +151,10 @@ impl Bench {
     pub(super) fn flash(&mut self) -> Result<&mut FlashKind, FlashError> {
         if self.flash.is_none() {
             self.flash = Some((self.open_flash)()?);
+            self.gate.is_closed_by(match &self.flash {
+                Some(FlashKind::Controller(flash)) => flash.closer(),
+                _ => None,
+            });
             self.had_controller |= matches!(self.flash, Some(FlashKind::Controller(_)));
         }
         Ok(self.flash.get_or_insert(FlashKind::None))

@@ -4,13 +4,14 @@
 //! the terminal's main thread). What can be asked without waiting for a running pair (devices as last seen,
 //! the operator's confirmation) does not take that lock.
 
-use super::bench::{Bench, Devices, ListCameras, RigSource};
+use super::bench::{Bench, Devices, Gate, ListCameras, RigSource};
 use super::error::CaptureError;
 use super::events::{Events, Topic};
 use super::live::Live;
 use super::place::{CalibrationShot, CardPlace, PairPlace, Place, PlaceError, name_of};
 use super::prompt::Prompter;
 use super::run::Run;
+use super::wish::PairWish;
 use crate::pair::{Limits, Offered, PairRecord, Settings, Verdict};
 use crate::pipeline::stops::Earlier;
 use crate::progress::Progress;
@@ -71,6 +72,7 @@ pub struct CameraState {
 /// The engine.
 pub struct Engine {
     bench: Mutex<Bench>,
+    gate: Gate,
     list_cameras: ListCameras,
     live: Live,
     /// Somebody asked for the devices while they were in use.
@@ -87,8 +89,10 @@ impl Engine {
     /// An engine that comes by its devices through `source`, judges by `limits` and tells `events`.
     /// No device is opened before it is needed.
     pub fn new(source: RigSource, limits: Limits, events: Events) -> Self {
+        let bench = Bench::new(source.camera, source.flash);
         Self {
-            bench: Mutex::new(Bench::new(source.camera, source.flash)),
+            gate: bench.gate(),
+            bench: Mutex::new(bench),
             list_cameras: source.cameras,
             live: Live::default(),
             look_again: AtomicBool::new(false),
@@ -117,6 +121,14 @@ impl Engine {
         };
         self.note_devices(seen.clone());
         seen
+    }
+
+    /// Closes the gate between camera and flash, past whoever uses the rig: for the end of the program. Where no
+    /// controller is open, or its port is gone, the controller closes it itself, by its time to live or for silence.
+    pub fn close_gate(&self) {
+        if let Err(error) = self.gate.close() {
+            tracing::warn!("the flash could not be disarmed: {error}");
+        }
     }
 
     /// What the operator is asked at the moment.
@@ -151,13 +163,26 @@ impl Engine {
         after_pair: Option<&AfterPair>,
         progress: &Progress,
     ) -> Result<PairRecord, CaptureError> {
+        self.shoot_pair_as(session, PairWish::default(), after_pair, progress)
+    }
+
+    /// The same in the order of frames that is wished, or once more under the number of a rejected pair.
+    pub fn shoot_pair_as(
+        &self,
+        session: &Session,
+        wish: PairWish,
+        after_pair: Option<&AfterPair>,
+        progress: &Progress,
+    ) -> Result<PairRecord, CaptureError> {
         let mut memory = lock(&self.memory);
         let earlier = match memory.take() {
             Some((path, earlier)) if path == session.path() => earlier,
             _ => Earlier::load(session, progress)?,
         };
         let (_, earlier) = memory.insert((session.path().to_owned(), earlier));
-        let mut place = PairPlace::new(session, earlier)?;
+        let mut place = PairPlace::new(session, wish, earlier)?;
+        let _lines_say_which = tracing::error_span!("pair", number = place.tag()).entered();
+        tracing::info!("is being shot");
         self.shoot(&mut place, progress)?;
         let record = place.into_record().ok_or(PlaceError::Incomplete)?;
         if let Some(after_pair) = after_pair
@@ -168,6 +193,7 @@ impl Engine {
         let data = json!({
             "session": name_of(session),
             "number": record.number,
+            "attempt": record.attempt,
             "verdict": record.verdict,
         });
         self.events.tell(Topic::Pair, words_on(&record), data);
@@ -191,8 +217,8 @@ impl Engine {
         Ok(shot)
     }
 
-    /// Shoots two frames into `place` and says how they were judged. A device that fails is brought back, and
-    /// both frames are shot again: a pair is never made of frames from before and after a failure.
+    /// Shoots all frames into `place` and says how they were judged. A device that fails is brought back, and
+    /// all frames are shot again: a pair is never made of frames from before and after a failure.
     fn shoot(&self, place: &mut dyn Place, progress: &Progress) -> Result<Verdict, CaptureError> {
         let mut bench = self.take_bench();
         let mut outcome =

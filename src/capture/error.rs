@@ -130,6 +130,9 @@ impl CaptureError {
             CaptureError::Saturation(_) => "saturation_table_unreadable",
             CaptureError::NoThread(_) => "no_thread",
             CaptureError::Place(PlaceError::Session(SessionError::NoRoom { .. })) => "disk_full",
+            CaptureError::Place(PlaceError::Session(SessionError::NoSuchPair { .. })) => "pair_not_found",
+            CaptureError::Place(PlaceError::Session(SessionError::PairAccepted { .. })) => "pair_accepted",
+            CaptureError::Place(PlaceError::Order(_)) => "order_invalid",
             CaptureError::Place(_) => "session_not_written",
             CaptureError::Cancelled(_) => "cancelled",
         }

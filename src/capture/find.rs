@@ -14,10 +14,11 @@ use crate::photometry::saturation::SaturationTable;
 use crate::pipeline::saturation;
 use crate::progress::Progress;
 use crate::session::{Event, Session};
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 /// What may be wished of an exposure to be found.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExposureWish {
     /// Share of saturation at which the brightest channel of the lit frame ends, 0 to 1.
     pub target_share: f64,

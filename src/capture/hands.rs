@@ -25,6 +25,16 @@ pub(super) struct Hands<'a> {
     pub(super) progress: &'a Progress,
 }
 
+/// A gate that was opened is closed again whatever becomes of whoever opened it: an error, a panic, or nothing at all.
+impl Drop for Hands<'_> {
+    fn drop(&mut self) {
+        if self.bench.armed {
+            tracing::warn!("the gate was left open; it is closed now");
+            self.disarm();
+        }
+    }
+}
+
 impl Hands<'_> {
     /// Goes through the exposure lock, once an opened camera, and reads the dials.
     pub(super) fn lock(&mut self) -> Result<Settings, CaptureError> {
@@ -61,21 +71,29 @@ impl Hands<'_> {
     pub(super) fn darken(&mut self) -> Result<(), CaptureError> {
         // Without a camera nobody should be sent to switch a flash.
         self.camera(|bench| bench.camera().map(drop))?;
+        if let FlashKind::Manual = self.bench.flash()? {
+            self.prompter.ask("Switch the flash off, then confirm.", self.progress)?;
+        }
+        self.close_gate()
+    }
+
+    /// Closes the gate and forgets the syncs of the past, where a controller has it.
+    pub(super) fn close_gate(&mut self) -> Result<(), CaptureError> {
         let done = match self.bench.flash()? {
             FlashKind::Controller(flash) => {
                 flash.disarm().and_then(|()| flash.syncs(Duration::ZERO).map(drop))
             }
-            FlashKind::Manual => {
-                self.prompter.ask("Switch the flash off, then confirm.", self.progress)?;
-                Ok(())
-            }
+            FlashKind::Manual => Ok(()),
             FlashKind::None => return Err(CaptureError::NoFlash),
         };
+        self.bench.armed &= done.is_err();
         done.map_err(|error| self.flash_failed(error))
     }
 
     /// Opens the gate for one sync, or asks the operator to switch the flash on.
     pub(super) fn arm(&mut self, tag: u32) -> Result<(), CaptureError> {
+        // An answer that is lost may have opened it.
+        self.bench.armed = true;
         let done = match self.bench.flash()? {
             FlashKind::Controller(flash) => arm_when_recycled(flash.as_mut(), tag, self.progress)?,
             FlashKind::Manual => {
@@ -89,6 +107,7 @@ impl Hands<'_> {
 
     /// Closes the gate, best effort: it was opened once, with a time to live, and closes by itself.
     pub(super) fn disarm(&mut self) {
+        self.bench.armed = false;
         if let Ok(FlashKind::Controller(flash)) = self.bench.flash()
             && let Err(error) = flash.disarm()
         {

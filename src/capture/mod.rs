@@ -18,16 +18,23 @@ mod place;
 mod prompt;
 mod repeat;
 mod run;
+mod sequence;
 mod taken;
 mod thumbnail;
+mod wish;
 
 pub use bench::{DeviceState, Devices, FlashKind, ListCameras, OpenCamera, OpenFlash, RigSource};
-pub use desk::{Desk, DeskError, FlashCard, SceneFiles, SessionSummary, Works};
+pub use desk::{Desk, DeskError, FlashCard, Glance, SceneFiles, SessionSummary, Works};
 pub use engine::{AfterPair, CameraState, Engine, words_on};
 pub use error::CaptureError;
-pub use events::{Event, Events, Topic};
+pub use events::{Event, Events, Heard, Topic};
 pub use find::ExposureWish;
 pub use live::LivePicture;
-pub use machine::{Effect, End, Event as PairEvent, Frame, State, step};
+pub use machine::{Course, Effect, End, Event as PairEvent, State, step};
 pub use place::{CalibrationShot, PlaceError, calibration_frames, calibration_shots};
 pub use repeat::{RepeatReport, words_on_repeatability};
+pub use sequence::{
+    Alone, Conductor, PositionView, SequenceError, SequenceEvent, SequenceState, SequenceView, Shooter,
+};
+pub use thumbnail::ThumbnailError;
+pub use wish::PairWish;

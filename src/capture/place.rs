@@ -1,13 +1,17 @@
 //! Where a pair of frames goes: into the session as a pair, or beside it as a calibration shot.
 
-use crate::pair::{Expected, FlashRecord, FrameRecord, PairRecord, Plan, Reason, Settings, Stop, Window};
+use super::wish::PairWish;
+use crate::pair::order::{OrderError, Program};
+use crate::pair::{
+    Drift, Expected, FlashRecord, FrameRecord, PairRecord, Plan, Reason, Settings, Stop, Window,
+};
 use crate::photometry::saturation::SaturationTable;
 use crate::pipeline::flash::SHOT_RECORD;
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::stops::{Delivery, Earlier};
 use crate::rig::Shot;
 use crate::session::{
-    self, Commit, NewFrame, NewPair, Prepared, Session, SessionError, Staged, Stager, store,
+    self, Commit, More, NewFrame, NewPair, Prepared, Session, SessionError, Staged, Stager, store,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -35,10 +39,13 @@ impl<'a> Delivered<'a> {
     }
 }
 
-/// Two frames, and what is known of them.
+/// A pair's frames, and what is known of them.
 pub(super) struct Shots<'a> {
     pub(super) off: Delivered<'a>,
+    pub(super) more_off: Vec<Delivered<'a>>,
     pub(super) on: Delivered<'a>,
+    pub(super) after: Vec<Delivered<'a>>,
+    pub(super) drift: Option<Drift>,
     pub(super) flash: Option<FlashRecord>,
     pub(super) reasons: Vec<Reason>,
     /// By which later pairs of the same stop are known.
@@ -62,6 +69,9 @@ pub enum PlaceError {
     /// The session's saturation table.
     #[error(transparent)]
     Saturation(#[from] SaturationError),
+    /// The frames that were asked for.
+    #[error(transparent)]
+    Order(#[from] OrderError),
     /// A frame is missing.
     #[error("a frame of the pair is missing; take the pair again")]
     Incomplete,
@@ -71,6 +81,8 @@ pub enum PlaceError {
 pub(super) trait Place {
     /// Number by which the flash controller knows the shot; not 0.
     fn tag(&self) -> u32;
+    /// Which frames are to be shot, and in which order.
+    fn program(&self) -> Program;
     /// At which exposures the two frames are to be shot; as the camera stands if `None`.
     fn plan(&self) -> Option<Plan>;
     /// Makes what the camera shows the plan from now on.
@@ -86,28 +98,36 @@ pub(super) trait Place {
     /// What is known beforehand of a pair whose files have the digests `off` and `on` and whose pulse measured
     /// `energy` counts.
     fn expected<'a>(&'a self, off: &'a str, on: &'a str, energy: Option<f64>) -> Expected<'a>;
-    /// Writes down that two frames are about to be shot.
+    /// Writes down that the frames are about to be shot.
     fn intend(&mut self) -> Result<(), PlaceError>;
-    /// Stores both frames; on the disk when this returns.
+    /// Stores all frames; on the disk when this returns.
     fn store(&mut self, shots: Shots) -> Result<(), PlaceError>;
     /// Writes down that nothing was stored, and why.
     fn abandon(&mut self, why: &str) -> Result<(), PlaceError>;
 }
 
-/// The session's next pair.
+/// The session's next pair, or a rejected one that is shot again.
 pub(super) struct PairPlace<'a> {
     session: &'a Session,
     earlier: &'a mut Earlier,
     saturation: Arc<SaturationTable>,
     number: u32,
+    program: Program,
+    again: Option<u32>,
     stored: Option<PairRecord>,
 }
 
 impl<'a> PairPlace<'a> {
     /// `earlier` remembers the session's pairs, and this one once it is stored.
-    pub(super) fn new(session: &'a Session, earlier: &'a mut Earlier) -> Result<Self, PlaceError> {
+    pub(super) fn new(
+        session: &'a Session,
+        wish: PairWish,
+        earlier: &'a mut Earlier,
+    ) -> Result<Self, PlaceError> {
+        let program = wish.program(session)?;
         let saturation = Arc::new(saturation::load(session)?);
-        Ok(Self { session, earlier, saturation, number: session.next_pair_number()?, stored: None })
+        let number = wish.again.map_or_else(|| session.next_pair_number(), Ok)?;
+        Ok(Self { session, earlier, saturation, number, program, again: wish.again, stored: None })
     }
 
     /// The pair, once stored.
@@ -128,6 +148,10 @@ fn note(session: &Session, what: &str, detail: serde_json::Value) -> Result<(), 
 impl Place for PairPlace<'_> {
     fn tag(&self) -> u32 {
         self.number
+    }
+
+    fn program(&self) -> Program {
+        self.program
     }
 
     fn plan(&self) -> Option<Plan> {
@@ -159,7 +183,7 @@ impl Place for PairPlace<'_> {
     }
 
     fn intend(&mut self) -> Result<(), PlaceError> {
-        self.number = self.session.intend_pair()?;
+        self.number = self.session.intend(self.again, self.program)?.number;
         Ok(())
     }
 
@@ -170,6 +194,13 @@ impl Place for PairPlace<'_> {
             on: shots.on.new_frame(),
             reasons: shots.reasons,
             flash: shots.flash,
+            more: More {
+                program: self.program,
+                off: shots.more_off.iter().map(Delivered::new_frame).collect(),
+                after: shots.after.iter().map(Delivered::new_frame).collect(),
+                drift: shots.drift,
+                again: self.again,
+            },
         })?;
         let (Commit::Stored(record) | Commit::AlreadyThere(record)) = commit;
         // The pair is safe; a signature that could not be kept is made again when it is needed.
@@ -316,6 +347,10 @@ impl Place for CardPlace<'_> {
         self.tag
     }
 
+    fn program(&self) -> Program {
+        Program::default()
+    }
+
     /// Near cards need less light than the object: they are shot as the operator set the camera.
     fn plan(&self) -> Option<Plan> {
         None
@@ -347,7 +382,7 @@ impl Place for CardPlace<'_> {
 
     fn intend(&mut self) -> Result<(), PlaceError> {
         self.session.require_room()?;
-        note(self.session, "calibration_shot_started", json!({ "name": self.name }))
+        note(self.session, session::SHOT_STARTED, json!({ "name": self.name }))
     }
 
     fn store(&mut self, shots: Shots) -> Result<(), PlaceError> {
@@ -366,6 +401,6 @@ impl Place for CardPlace<'_> {
     }
 
     fn abandon(&mut self, why: &str) -> Result<(), PlaceError> {
-        note(self.session, "calibration_shot_abandoned", json!({ "name": self.name, "why": why }))
+        note(self.session, session::SHOT_ABANDONED, json!({ "name": self.name, "why": why }))
     }
 }

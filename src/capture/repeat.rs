@@ -10,7 +10,6 @@ use super::engine::{ATTEMPTS, Engine, worth_another_try};
 use super::error::CaptureError;
 use super::events::Topic;
 use super::hands::Hands;
-use super::place::PlaceError;
 use crate::pair::energy::{FEWEST_SHOTS, RepeatError, RepeatShot, Repeatability, repeatability};
 use crate::pair::{FlashRecord, Reason, ReasonCode, Settings, Window, proof};
 use crate::photometry::saturation::SaturationTable;
@@ -109,6 +108,7 @@ impl Engine {
         let mut hands = Hands { bench: &mut bench, prompter: self.prompter(), progress };
         let taken = self.take_series(&mut hands, &mut series, shots);
         hands.disarm();
+        drop(hands);
         drop(bench);
         let result = repeatability(&taken?)?;
         let settings = series.first.map(|first| first.settings).unwrap_or_default();
@@ -301,7 +301,7 @@ fn keep(session: &Session, report: &RepeatReport) -> Result<(), CaptureError> {
     let path = repeatability_file(session);
     let json = serde_json::to_vec_pretty(report)
         .map_err(|e| SessionError::Damaged { path: path.clone(), why: e.to_string() })?;
-    store::write_atomic(&path, &json).map_err(|source| PlaceError::Disk { path, source })?;
+    session.keep(&path, &json)?;
     let result = &report.result;
     let detail = json!({
         "shots": result.shots.len(), "spread": result.spread, "corrected": result.corrected,

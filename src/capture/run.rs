@@ -4,18 +4,18 @@ use super::bench::Bench;
 use super::error::CaptureError;
 use super::events::{Events, Topic};
 use super::hands::{Hands, exposure_of};
-use super::machine::{Effect, End, Event, Frame, State, step};
+use super::machine::{Course, Effect, End, Event, State};
 use super::place::{Delivered, Place, PlaceError, Shots};
 use super::prompt::Prompter;
-use super::taken::{Decoded, Taken};
-use crate::pair::{FlashRecord, Limits, Plan, Reason, Settings, Stop, Verdict, proof};
+use super::taken::Taken;
+use crate::pair::order::{Part, Program, Slot};
+use crate::pair::{Drift, FlashRecord, Limits, Plan, Reason, Settings, Stop, Verdict, proof};
 use crate::pipeline::pairs;
 use crate::progress::{Cancelled, Progress};
 use serde_json::json;
-use std::collections::VecDeque;
 
-/// Steps of a pair that progress counts.
-const STEPS: usize = 6;
+/// Steps of a pair that progress counts beside its frames: arming, judging, storing, the end.
+const STEPS: usize = 4;
 
 /// One pair on its way.
 pub(super) struct Run<'a> {
@@ -23,17 +23,19 @@ pub(super) struct Run<'a> {
     place: &'a mut dyn Place,
     limits: &'a Limits,
     events: &'a Events,
+    program: Program,
     /// What the camera told before the pair.
     told: Settings,
     plan: Option<Plan>,
-    off: Option<Taken>,
-    on: Option<Taken>,
-    settings: [Settings; 2],
-    digests: [String; 2],
+    /// In the order in which they were shot.
+    frames: Vec<Taken>,
     flash: Option<FlashRecord>,
     reasons: Vec<Reason>,
+    drift: Option<Drift>,
     stop: Option<Stop>,
     error: Option<CaptureError>,
+    /// Steps that are done.
+    done: usize,
 }
 
 impl<'a> Run<'a> {
@@ -47,34 +49,32 @@ impl<'a> Run<'a> {
     ) -> Self {
         Self {
             hands: Hands { bench, prompter, progress },
+            program: place.program(),
             place,
             limits,
             events,
             told: Settings::default(),
             plan: None,
-            off: None,
-            on: None,
-            settings: Default::default(),
-            digests: Default::default(),
+            frames: Vec::new(),
             flash: None,
             reasons: Vec::new(),
+            drift: None,
             stop: None,
             error: None,
+            done: 0,
         }
     }
 
     /// Drives the state machine from the first event to the end.
     pub(super) fn finish(&mut self) -> Result<Verdict, CaptureError> {
-        let (mut state, effects) = step(State::Ready, Event::Go);
-        let mut waiting = VecDeque::from(effects);
+        let mut course = Course::begin(self.program);
         let mut cancelled = false;
-        while let Some(effect) = waiting.pop_front() {
+        while let Some(effect) = course.next_effect() {
             if !cancelled && self.hands.progress.is_cancelled() {
                 cancelled = true;
-                let (next, effects) = step(state, Event::Cancel);
-                if next != state {
-                    state = next;
-                    waiting = effects.into();
+                let before = course.state();
+                course.hear(Event::Cancel);
+                if course.state() != before {
                     continue;
                 }
             }
@@ -87,15 +87,10 @@ impl<'a> Run<'a> {
                 }
             };
             if let Some(event) = event {
-                let (next, effects) = step(state, event);
-                if matches!(event, Event::Broke | Event::Cancel) && next != state {
-                    waiting.clear();
-                }
-                state = next;
-                waiting.extend(effects);
+                course.hear(event);
             }
         }
-        match state {
+        match course.state() {
             State::Ended(End::Stored(verdict)) => Ok(verdict),
             State::Ended(End::Cancelled) => Err(Cancelled.into()),
             _ => Err(self.error.take().unwrap_or(CaptureError::Cancelled(Cancelled))),
@@ -107,47 +102,50 @@ impl<'a> Run<'a> {
         match effect {
             Effect::RecordIntent => self.place.intend().map(|()| None).map_err(Into::into),
             Effect::Lock => {
-                self.report("Making sure that the camera stands as planned", 0);
+                self.report("Making sure that the camera stands as planned");
                 self.lock()?;
                 Ok(Some(Event::Locked))
             }
             Effect::Darken => {
-                self.report("Making sure that the flash stays dark", 0);
+                self.report("Making sure that the flash stays dark");
                 self.hands.darken()?;
                 Ok(Some(Event::Dark))
             }
-            Effect::Shoot(frame) => {
-                match frame {
-                    Frame::Off => self.report("Taking the frame without flash", 1),
-                    Frame::On => self.report("Taking the frame with flash", 3),
-                }
-                self.turn_dials(frame)?;
-                let shot = self.hands.release()?;
-                *self.slot(frame) = Some(Taken::new(shot));
-                Ok(Some(Event::FrameTaken))
-            }
-            Effect::BeginCheck(frame) => self.begin_check(frame).map(|()| None),
-            Effect::CountPulses(frame) => {
-                self.count(frame)?;
-                Ok(Some(Event::Counted))
-            }
             Effect::Arm => {
-                self.report("Getting the flash ready", 2);
+                self.step("Getting the flash ready");
+                if self.frames.is_empty() {
+                    // Nothing was darkened yet: what the controller saw before is none of this pair's.
+                    self.hands.close_gate()?;
+                }
                 self.hands.arm(self.place.tag())?;
                 Ok(Some(Event::Armed))
+            }
+            Effect::Shoot(slot) => {
+                self.step(&words_on(slot, self.program));
+                self.turn_dials(slot)?;
+                let shot = self.hands.release()?;
+                self.frames.push(Taken::new(slot, shot));
+                Ok(Some(Event::FrameTaken))
+            }
+            Effect::BeginCheck(slot) => self.begin_check(slot).map(|()| None),
+            Effect::CountPulses(slot) => {
+                self.count(slot)?;
+                let proven = self.reasons.is_empty();
+                Ok(Some(if proven { Event::Counted } else { Event::Unproven }))
             }
             Effect::Disarm => {
                 self.hands.disarm();
                 Ok(None)
             }
             Effect::Judge => {
-                self.report("Checking both frames", 4);
+                self.step(if self.frames.len() > 2 { "Checking all frames" } else { "Checking both frames" });
                 Ok(Some(Event::Judged(self.judge()?)))
             }
             Effect::Store(_) => {
-                self.report("Storing the pair", 5);
+                self.step("Storing the pair");
                 self.store()?;
-                self.report("Stored", STEPS);
+                let steps = self.program.slots().len() + STEPS;
+                self.hands.progress.report("Stored", steps, steps);
                 Ok(Some(Event::Stored))
             }
             Effect::RecordEnd(end) => {
@@ -164,15 +162,17 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn report(&self, words: &str, done: usize) {
-        self.hands.progress.report(words, done, STEPS);
+    fn report(&self, words: &str) {
+        self.hands.progress.report(words, self.done, self.program.slots().len() + STEPS);
     }
 
-    fn slot(&mut self, frame: Frame) -> &mut Option<Taken> {
-        match frame {
-            Frame::Off => &mut self.off,
-            Frame::On => &mut self.on,
-        }
+    fn step(&mut self, words: &str) {
+        self.done += 1;
+        self.report(words);
+    }
+
+    fn frame(&mut self, slot: Slot) -> Result<&mut Taken, PlaceError> {
+        self.frames.iter_mut().find(|frame| frame.slot == slot).ok_or(PlaceError::Incomplete)
     }
 
     /// Reads the camera and settles the plan: the session's, or else what the dials show now.
@@ -187,14 +187,11 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    fn turn_dials(&mut self, frame: Frame) -> Result<(), CaptureError> {
+    fn turn_dials(&mut self, slot: Slot) -> Result<(), CaptureError> {
         let Some(plan) = self.plan else { return Ok(()) };
-        let wanted = match frame {
-            Frame::Off => plan.off,
-            Frame::On => plan.on,
-        };
+        let wanted = if slot.part.is_lit() { plan.on } else { plan.off };
         let turned = self.hands.turn_dials(&self.told, &wanted)?;
-        if turned && frame == Frame::Off && plan.off == plan.on {
+        if turned && self.frames.is_empty() && plan.off == plan.on {
             let words =
                 format!("The camera stood otherwise: its dials were turned back to the session's {wanted}.");
             self.events.tell(Topic::Recovery, words, json!({ "code": "dials_turned" }));
@@ -209,54 +206,84 @@ impl<'a> Run<'a> {
     }
 
     /// Has a frame checked and written to the disk while the next one is shot.
-    fn begin_check(&mut self, frame: Frame) -> Result<(), CaptureError> {
+    fn begin_check(&mut self, slot: Slot) -> Result<(), CaptureError> {
+        if !slot.is_needed() {
+            // However many there are, the photographs of a few are in memory at a time.
+            self.compare_dark()?;
+        }
         let (measured, stager) = (self.place.saturation(), self.place.stager());
-        self.slot(frame).as_mut().map_or(Ok(()), |taken| taken.begin(measured, stager))
+        self.frame(slot)?.begin(measured, stager)
     }
 
     /// Asks the controller what it saw since the last count. It reports dark syncs too, so that silence
     /// means that the contact never closed.
-    fn count(&mut self, frame: Frame) -> Result<(), CaptureError> {
+    fn count(&mut self, slot: Slot) -> Result<(), CaptureError> {
         let Some(syncs) = self.hands.count()? else { return Ok(()) };
-        self.reasons.extend(match frame {
-            Frame::Off => proof::dark_frame(&syncs),
-            Frame::On => proof::lit_frame(&syncs, self.place.tag(), self.place.sees_light()),
-        });
         let record = self.flash.get_or_insert_default();
-        match frame {
-            Frame::Off => record.off = syncs,
-            Frame::On => record.on = syncs,
+        if slot.part.is_lit() {
+            self.reasons.extend(proof::lit_frame(&syncs, self.place.tag(), self.place.sees_light()));
+            record.on = syncs;
+        } else {
+            self.reasons.extend(proof::dark_frame(&syncs));
+            record.off.extend(syncs);
         }
         Ok(())
     }
 
-    /// The decoder's outcome for one frame, and the file's digest.
-    fn decoded(&mut self, frame: Frame) -> Result<(Decoded, String), CaptureError> {
-        let decoded = self.slot(frame).as_mut().and_then(Taken::decoded);
-        Ok(decoded.ok_or(PlaceError::Incomplete)?)
+    /// Holds the further frames without flash that are decoded or being decoded against the first.
+    fn compare_dark(&mut self) -> Result<(), CaptureError> {
+        let plan = self.plan;
+        let Ok(first) = self.frame(Slot::OFF) else { return Ok(()) };
+        let Some((unlit, digest)) = first.decoded() else { return Ok(()) };
+        for frame in &mut self.frames {
+            let slot = frame.slot;
+            if slot.is_needed() {
+                continue;
+            }
+            // Looked at once, and gone: its settings and its digest stay.
+            let Some((photo, digest)) = frame.decoded() else { continue };
+            let (reasons, drift) = pairs::judge_dark(&unlit, &photo, slot, plan.as_ref(), self.limits);
+            frame.seen(photo.map(|p| p.settings).unwrap_or_default(), digest);
+            for reason in reasons {
+                if !self.reasons.contains(&reason) {
+                    self.reasons.push(reason);
+                }
+            }
+            self.drift = drift.or(self.drift);
+        }
+        self.frame(Slot::OFF)?.keep(unlit, digest);
+        Ok(())
     }
 
     fn judge(&mut self) -> Result<Verdict, CaptureError> {
-        let ((off, off_digest), (on, on_digest)) = (self.decoded(Frame::Off)?, self.decoded(Frame::On)?);
+        self.compare_dark()?;
+        let mut decoded = |slot| self.frame(slot)?.decoded().ok_or(PlaceError::Incomplete);
+        let ((off, off_digest), (on, on_digest)) = (decoded(Slot::OFF)?, decoded(Slot::ON)?);
+        let further = self.frames.iter().filter(|frame| !frame.slot.is_needed());
+        let further: Vec<String> = further.map(|frame| frame.digest().to_owned()).collect();
         let energy = self.flash.as_ref().and_then(FlashRecord::energy_counts);
         let mut expected = self.place.expected(&off_digest, &on_digest, energy);
         expected.plan = self.plan.as_ref();
+        if let Some(files) = &mut expected.files {
+            files.more = &further;
+        }
         if let (Some(window), Ok(photo)) = (self.place.region(), &off) {
             expected.region = Some(window.sites(photo.mosaic.dn.width(), photo.mosaic.dn.height()));
         }
         let judgement = pairs::judge(&off, &on, &expected, self.limits);
-        self.reasons.extend(judgement.reasons);
+        for reason in judgement.reasons {
+            if !self.reasons.contains(&reason) {
+                self.reasons.push(reason);
+            }
+        }
         self.stop = judgement.stop;
-        self.digests = [off_digest, on_digest];
-        self.settings = [off, on].map(|photo| photo.map(|p| p.settings).unwrap_or_default());
+        for (slot, photo, digest) in [(Slot::OFF, off, off_digest), (Slot::ON, on, on_digest)] {
+            self.frame(slot)?.seen(photo.map(|p| p.settings).unwrap_or_default(), digest);
+        }
         Ok(if self.reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected })
     }
 
     fn store(&mut self) -> Result<(), CaptureError> {
-        let (Some(mut off), Some(mut on)) = (self.off.take(), self.on.take()) else {
-            // The machine stores only after both frames were taken.
-            return Err(PlaceError::Incomplete.into());
-        };
         // The first good pair sets the plan; a rejected one leaves the operator free to set the camera otherwise.
         if let Some(plan) = self.plan
             && self.reasons.is_empty()
@@ -264,26 +291,55 @@ impl<'a> Run<'a> {
         {
             self.place.adopt(plan)?;
         }
-        let [off_settings, on_settings] = std::mem::take(&mut self.settings);
-        let [off_digest, on_digest] = std::mem::take(&mut self.digests);
-        let staged = (off.staged().map_err(PlaceError::from)?, on.staged().map_err(PlaceError::from)?);
+        let mut frames = std::mem::take(&mut self.frames);
+        frames.sort_by_key(|frame| frame.slot);
+        let mut staged = Vec::new();
+        for frame in &mut frames {
+            staged.push(frame.staged().map_err(PlaceError::from)?);
+        }
+        let mut of_part = [Vec::new(), Vec::new(), Vec::new()];
+        for (frame, staged) in frames.iter().zip(&staged) {
+            let part = match frame.slot.part {
+                Part::Off => 0,
+                Part::On => 1,
+                Part::After => 2,
+            };
+            of_part[part].push(Delivered {
+                shot: &frame.shot,
+                settings: frame.settings(),
+                blake3: frame.digest().to_owned(),
+                staged: staged.as_ref(),
+            });
+        }
+        let [off, on, after] = of_part;
+        let (mut off, mut on) = (off.into_iter(), on.into_iter());
+        // The machine stores only after both frames were taken.
+        let (Some(first), Some(lit)) = (off.next(), on.next()) else {
+            return Err(PlaceError::Incomplete.into());
+        };
         self.place.store(Shots {
-            off: Delivered {
-                shot: &off.shot,
-                settings: off_settings,
-                blake3: off_digest,
-                staged: staged.0.as_ref(),
-            },
-            on: Delivered {
-                shot: &on.shot,
-                settings: on_settings,
-                blake3: on_digest,
-                staged: staged.1.as_ref(),
-            },
+            off: first,
+            more_off: off.collect(),
+            on: lit,
+            after,
+            drift: self.drift,
             flash: self.flash.take(),
             reasons: std::mem::take(&mut self.reasons),
             stop: self.stop.take(),
         })?;
         Ok(())
+    }
+}
+
+/// What is done just now.
+fn words_on(slot: Slot, program: Program) -> String {
+    let what = match slot.part {
+        Part::On => return "Taking the frame with flash".into(),
+        Part::Off => "without flash",
+        Part::After => "without flash once more",
+    };
+    match program.off_frames() {
+        1 => format!("Taking the frame {what}"),
+        n => format!("Taking frame {} of {n} {what}", slot.index),
     }
 }

@@ -3,6 +3,8 @@
 
 use super::error::CaptureError;
 use crate::codec::raw::{Photo, RawError};
+use crate::pair::Settings;
+use crate::pair::order::Slot;
 use crate::photometry::saturation::SaturationTable;
 use crate::pipeline::saturation;
 use crate::rig::Shot;
@@ -15,14 +17,20 @@ pub(super) type Decoded = Result<Photo, RawError>;
 
 /// A frame on its way.
 pub(super) struct Taken {
+    /// Its place in the pair.
+    pub(super) slot: Slot,
     pub(super) shot: Arc<Shot>,
+    /// Decoded and not yet looked at.
+    kept: Option<(Decoded, String)>,
+    /// What stays of it once it was looked at: settings and digest.
+    seen: Option<(Settings, String)>,
     decoding: Option<JoinHandle<(Decoded, String)>>,
     staging: Option<JoinHandle<Result<Staged, SessionError>>>,
 }
 
 impl Taken {
-    pub(super) fn new(shot: Shot) -> Self {
-        Self { shot: Arc::new(shot), decoding: None, staging: None }
+    pub(super) fn new(slot: Slot, shot: Shot) -> Self {
+        Self { slot, shot: Arc::new(shot), kept: None, seen: None, decoding: None, staging: None }
     }
 
     /// Sets the decoder to work, and whoever writes the raw to the disk, if it is to go there ahead of the commit.
@@ -43,8 +51,11 @@ impl Taken {
         Ok(())
     }
 
-    /// The decoder's outcome and the file's BLAKE3; `None` if it was never set to work.
+    /// The decoder's outcome and the file's BLAKE3, once; `None` if it was never set to work, or was looked at already.
     pub(super) fn decoded(&mut self) -> Option<(Decoded, String)> {
+        if let Some(kept) = self.kept.take() {
+            return Some(kept);
+        }
         // A decoder that stumbles over a file has found it unreadable.
         let stumbled = |what: String, digest: String| {
             (Err(RawError::Decoder { what, message: "the decoder stumbled over it".into() }), digest)
@@ -52,6 +63,26 @@ impl Taken {
         let shot = self.shot.clone();
         let done = self.decoding.take()?.join();
         Some(done.unwrap_or_else(|_| stumbled(shot.raw.name.clone(), store::digest(&shot.raw.bytes))))
+    }
+
+    /// Puts back what [`Taken::decoded`] gave.
+    pub(super) fn keep(&mut self, photo: Decoded, digest: String) {
+        self.kept = Some((photo, digest));
+    }
+
+    /// Keeps what its record needs, now that it was looked at.
+    pub(super) fn seen(&mut self, settings: Settings, digest: String) {
+        self.seen = Some((settings, digest));
+    }
+
+    /// Settings out of its EXIF; none known before it was looked at.
+    pub(super) fn settings(&self) -> Settings {
+        self.seen.as_ref().map(|seen| seen.0.clone()).unwrap_or_default()
+    }
+
+    /// The file's BLAKE3; empty before it was looked at.
+    pub(super) fn digest(&self) -> &str {
+        self.seen.as_ref().map_or("", |seen| &seen.1)
     }
 
     /// The file on the disk; `None` if it was not to go there ahead, or its writer stumbled and the commit writes it.

@@ -4,10 +4,11 @@
 //! scale (saturation = white) and one neutral point (the frame's own mean, grey world) make off and on
 //! comparable; the sRGB curve follows.
 
-use super::Frame;
 use crate::codec::{jpeg, raw};
-use crate::pair::PairRecord;
+use crate::pair::order::Part;
+use crate::pair::{FrameRecord, PairRecord};
 use crate::photometry::Mosaic;
+use crate::pipeline::develop::exposure_ratio;
 use crate::raster::Image;
 use crate::raster::srgb::encode_u8;
 use crate::session::{Session, store};
@@ -37,23 +38,19 @@ pub enum ThumbnailError {
     },
 }
 
-/// The path of a frame's thumbnail, made if it is not there yet. Named by the original's digest, so that it
+/// The path of the thumbnail of a pair's frame, made if it is not there yet. Named by the original's digest, so that it
 /// can never show another frame.
 pub(super) fn of_frame(
     session: &Session,
     pair: &PairRecord,
-    frame: Frame,
+    record: &FrameRecord,
 ) -> Result<PathBuf, ThumbnailError> {
-    let record = match frame {
-        Frame::Off => &pair.off,
-        Frame::On => &pair.on,
-    };
     let folder = session.derived_dir().join("thumbnails");
     let path = folder.join(format!("{}.jpg", record.blake3));
     if path.is_file() {
         return Ok(path);
     }
-    let photo = raw::read(&session.pair_dir(pair.number).join(&record.file))?;
+    let photo = raw::read(&session.pair_dir(pair).join(&record.file))?;
     let small = render(&photo.mosaic);
     let bytes = jpeg::encode(&small, QUALITY)?;
     let disk = |source| ThumbnailError::Disk { path: path.clone(), source };
@@ -62,11 +59,52 @@ pub(super) fn of_frame(
     Ok(path)
 }
 
+/// The path of a small JPEG of the light that the flash alone threw: on less off. Named by both originals' digests.
+pub(super) fn of_known_light(session: &Session, pair: &PairRecord) -> Result<PathBuf, ThumbnailError> {
+    let folder = session.derived_dir().join("known");
+    let frames: Vec<_> = pair.frames().collect();
+    let digests: Vec<&str> = frames.iter().map(|(_, frame)| frame.blake3.as_str()).collect();
+    let name = store::digest(digests.join(" ").as_bytes());
+    let path = folder.join(format!("{name}.jpg"));
+    if path.is_file() {
+        return Ok(path);
+    }
+    let place = session.pair_dir(pair);
+    // What one frame does not tell counts as equal: this is for the eye, and processing will name it.
+    let room = exposure_ratio(&pair.on.settings, &pair.off.settings).unwrap_or(1.0) as f32;
+    let on = reduced(&raw::read(&place.join(&pair.on.file))?.mosaic);
+    let dark: Vec<_> = frames.iter().filter(|(slot, _)| slot.part != Part::On).collect();
+    let share = room / dark.len() as f32;
+    let mut known = on;
+    for (_, frame) in dark {
+        let off = reduced(&raw::read(&place.join(&frame.file))?.mosaic);
+        let (width, height) = (known.width().min(off.width()), known.height().min(off.height()));
+        known = Image::from_fn(width, height, |x, y| {
+            let (off, on) = (off.at(x, y), known.at(x, y));
+            std::array::from_fn(|c| on[c] - share * off[c])
+        });
+    }
+    let known = known.map(|light| light.map(|value| value.max(0.0)));
+    let bytes = jpeg::encode(&for_the_eye(&known), QUALITY)?;
+    let disk = |source| ThumbnailError::Disk { path: path.clone(), source };
+    std::fs::create_dir_all(&folder).map_err(disk)?;
+    store::write_atomic(&path, &bytes).map_err(disk)?;
+    Ok(path)
+}
+
 /// Averages blocks of whole filter cells to at most [`EDGE`] pixels a side and encodes them for the eye.
 fn render(mosaic: &Mosaic) -> Image<[u8; 3]> {
+    for_the_eye(&reduced(mosaic))
+}
+
+/// Means of blocks, 0 = black, 1 = saturation.
+fn reduced(mosaic: &Mosaic) -> Image<[f32; 3]> {
     let (cells_x, cells_y) = (mosaic.dn.width() / 2, mosaic.dn.height() / 2);
     let block = cells_x.max(cells_y).div_ceil(EDGE).max(1);
-    let linear = Image::from_fn(cells_x / block, cells_y / block, |x, y| average(mosaic, x, y, block));
+    Image::from_fn(cells_x / block, cells_y / block, |x, y| average(mosaic, x, y, block))
+}
+
+fn for_the_eye(linear: &Image<[f32; 3]>) -> Image<[u8; 3]> {
     let count = linear.pixels().len().max(1) as f32;
     let mean =
         linear.pixels().iter().fold([0.0f32; 3], |sum, p| std::array::from_fn(|c| sum[c] + p[c] / count));

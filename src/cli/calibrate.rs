@@ -1,6 +1,7 @@
 //! `unlit calibrate`: measures the rig from calibration shots.
 
 use super::devices::DeviceArgs;
+use super::settings::ConfigArgs;
 use super::shoot::tell_of_recovery;
 use super::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::capture::{Engine, Events, words_on_repeatability};
@@ -31,6 +32,8 @@ pub(super) struct RepeatabilityArgs {
     /// With `--studio` the white card stands 1 m before the lens.
     #[command(flatten)]
     devices: DeviceArgs,
+    #[command(flatten)]
+    _config: ConfigArgs,
 }
 
 /// Arguments of `unlit calibrate saturation`.

@@ -13,6 +13,8 @@ pub(super) struct Args {
 
 /// Serves until the driver closes the socket.
 pub(super) fn run(args: &Args) -> CliResult {
+    let _lines_say_whose =
+        tracing::error_span!("camera_host", pid = std::process::id(), port = args.port.as_deref()).entered();
     host::run(args.port.as_deref()).map_err(CliError::new)?;
     Ok(Exit::Success)
 }

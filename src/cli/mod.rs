@@ -8,6 +8,7 @@ mod doctor;
 mod evaluate;
 mod experiment;
 mod export;
+mod export_photos;
 mod flash;
 mod import;
 mod import_pairs;
@@ -17,14 +18,18 @@ mod new;
 mod openapi;
 mod process;
 mod progress_bar;
+mod sequence;
 mod serve;
 mod session;
+mod settings;
 mod shoot;
+mod stop;
 mod studio;
 mod works;
 
+use crate::log;
 use crate::session::Session;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
 use std::path::Path;
 use std::process::ExitCode;
@@ -74,7 +79,7 @@ pub type CliResult = Result<Exit, CliError>;
 
 /// Takes the light out of photographed objects.
 ///
-/// Exit codes: 0 done; 1 failed, stderr says why; 2 the command line is wrong; 3 done, but a pair was rejected.
+/// Exit codes: 0 done; 1 failed, stderr says why; 2 the command line or the config file is wrong; 3 done, but a pair was rejected.
 #[derive(Parser)]
 #[command(version, name = "unlit", verbatim_doc_comment)]
 struct Cli {
@@ -107,6 +112,8 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Writes a session's model in other programs' formats and colour spaces.
     Export(export::Args),
+    /// Develops a session's accepted pairs into a folder for Metashape, RealityScan or COLMAP.
+    ExportPhotos(export_photos::Args),
     /// Runs the thesis's experiments again in the simulated studio and prints both figures.
     Experiment(experiment::Args),
     /// Looks at what cameras and flash controllers need on this machine, and says what to do; exit code 1 if
@@ -128,20 +135,24 @@ enum Command {
     DecodeHost,
 }
 
-/// Parses `args` (the program's name first) and runs the command.
+/// Parses `args` (the program's name first), begins to log and runs the command.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
-    let cli = Cli::parse_from(args);
+    let (matches, settled) = settings::parse(Cli::command(), args.into_iter().collect());
+    log::start(settings::log_format(&matches));
+    settled.doubts().iter().for_each(|doubt| tracing::warn!("{doubt}"));
+    let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     match cli.command {
         Command::New(arguments) => new::run(&arguments),
         Command::Import(what) => import::run(what),
         Command::Session(command) => session::run(command),
         Command::Inspect(arguments) => inspect::run(&arguments),
-        Command::Serve(args) => serve::run(args),
+        Command::Serve(args) => serve::run(args, &settled),
         Command::Shoot(args) => shoot::run(args),
         Command::Calibrate(what) => calibrate::run(&what),
         Command::Process(args) => process::run(&args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Export(args) => export::run(args),
+        Command::ExportPhotos(args) => export_photos::run(args),
         Command::Experiment(args) => experiment::run(args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Flash(what) => flash::run(&what),

@@ -6,8 +6,8 @@ use std::path::PathBuf;
 
 #[derive(clap::Subcommand)]
 pub(super) enum SessionCommand {
-    /// Reads every original again, compares it with its checksum, and names what is missing or altered; exit code 1
-    /// if anything is.
+    /// Reads every original, calibration result and scene file again, compares it with its checksum, and names what is
+    /// missing or altered; exit code 1 if anything is.
     Verify(Verify),
 }
 
@@ -42,11 +42,12 @@ pub(super) fn run(command: SessionCommand) -> CliResult {
         println!("{damage:<10} {}: {}", finding.path.display(), finding.why);
     }
     println!(
-        "{} pairs, {} calibration shots, {} originals of {:.1} MB read again: {}",
+        "{} pairs, {} calibration shots, {} originals of {:.1} MB, {} results and scene files read again: {}",
         found.pairs,
         found.calibration_shots,
         found.originals,
         found.bytes as f64 / 1e6,
+        found.kept,
         if found.is_whole() {
             "all as they were stored"
         } else {

@@ -24,6 +24,8 @@ pub(super) fn works() -> Result<Works, rayon::ThreadPoolBuildError> {
         import_scene: Arc::new(import_scene),
         has_scene: Arc::new(|session| session.scene_dir().join("scene.json").is_file()),
         has_flash_calibration: Arc::new(flash::exists),
+        // What lacks something to be made from is told by whoever asks for it.
+        needs_processing: Arc::new(|session| process::is_due(session).unwrap_or(false)),
     })
 }
 

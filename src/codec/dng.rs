@@ -7,7 +7,7 @@
 use crate::pair::Settings;
 use crate::photometry::Mosaic;
 use crate::raster::Image;
-use std::io::Cursor;
+use std::io::{Cursor, Seek, Write};
 use tiff::encoder::{DirectoryEncoder, Rational, SRational, TiffEncoder, TiffKindStandard, TiffValue};
 use tiff::tags::{Tag, Type};
 
@@ -157,8 +157,16 @@ fn write_black(ifd: &mut Directory, mosaic: &Mosaic) -> Result<(), DngError> {
     Ok(())
 }
 
-fn write_exif(mut ifd: Directory, settings: &Settings) -> Result<u32, DngError> {
-    fn put<T: TiffValue>(ifd: &mut Directory, tag: u16, value: Option<T>) -> tiff::TiffResult<()> {
+/// The EXIF directory of these settings; gives where it lies.
+pub(super) fn write_exif<W: Write + Seek>(
+    mut ifd: DirectoryEncoder<'_, W, TiffKindStandard>,
+    settings: &Settings,
+) -> tiff::TiffResult<u32> {
+    fn put<W: Write + Seek, T: TiffValue>(
+        ifd: &mut DirectoryEncoder<'_, W, TiffKindStandard>,
+        tag: u16,
+        value: Option<T>,
+    ) -> tiff::TiffResult<()> {
         value.map_or(Ok(()), |value| ifd.write_tag(Tag::Unknown(tag), value))
     }
     put(&mut ifd, 33434, settings.shutter.map(|t| rational(t.0)))?;

@@ -1,5 +1,7 @@
 //! JPEG files, written for the eye.
 
+use super::exif_block;
+use crate::pair::Settings;
 use crate::raster::Image;
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
@@ -23,6 +25,23 @@ pub fn encode(picture: &Image<[u8; 3]>, quality: u8) -> Result<Vec<u8>, JpegErro
         .encode(picture.pixels().as_flattened(), side(width)?, side(height)?, ExtendedColorType::Rgb8)
         .map_err(|e| fail(e.to_string()))?;
     Ok(bytes)
+}
+
+/// As [`encode`], with EXIF that tells with what the picture was taken.
+pub fn encode_taken(
+    picture: &Image<[u8; 3]>,
+    quality: u8,
+    settings: &Settings,
+) -> Result<Vec<u8>, JpegError> {
+    let fail = |reason: String| JpegError { width: picture.width(), height: picture.height(), reason };
+    let block = exif_block::encode(settings).map_err(|e| fail(e.to_string()))?;
+    let bytes = encode(picture, quality)?;
+    let mut segment = b"Exif\0\0".to_vec();
+    segment.extend(block);
+    let length = u16::try_from(segment.len() + 2).map_err(|e| fail(e.to_string()))?;
+    // EXIF stands right behind the start of the image.
+    let (start, rest) = bytes.split_at(2);
+    Ok([start, &[0xff, 0xe1], &length.to_be_bytes(), &segment, rest].concat())
 }
 
 #[cfg(test)]

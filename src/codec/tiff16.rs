@@ -2,6 +2,9 @@
 //! may be 8 or 16 bits deep in strips or tiles, with any compression that the decoder knows.
 
 use super::asset::{AssetError, MAX_PIXELS};
+use super::dng::write_exif;
+use super::exif_block::write_camera;
+use crate::pair::Settings;
 use crate::raster::{Image, Rgb};
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
@@ -47,7 +50,7 @@ pub fn read_grey8(path: &Path) -> Result<Image<u8>, AssetError> {
 }
 
 /// What a picture tells of itself.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Told<'a> {
     /// What its values mean; ASCII.
     pub description: Option<&'a str>,
@@ -55,6 +58,8 @@ pub struct Told<'a> {
     pub software: Option<&'a str>,
     /// ICC profile of its colours.
     pub profile: Option<&'a [u8]>,
+    /// With what it was taken, as EXIF.
+    pub settings: Option<&'a Settings>,
 }
 
 /// Writes values of 0..1 times 65535, rounded and clamped, deflated. Not-a-number is refused: an unknown
@@ -131,12 +136,17 @@ where
         .with_compression(Compression::Deflate(DeflateLevel::Fast))
         .with_predictor(tiff::tags::Predictor::Horizontal);
     let mut write = || -> tiff::TiffResult<()> {
+        let exif =
+            told.settings.map(|settings| write_exif(encoder.extra_directory()?, settings)).transpose()?;
         let mut picture = encoder.new_image::<C>(width, height)?;
         let directory = picture.encoder();
         for (tag, text) in [(Tag::ImageDescription, told.description), (Tag::Software, told.software)] {
             if let Some(text) = text {
                 directory.write_tag(tag, text)?;
             }
+        }
+        if let (Some(settings), Some(exif)) = (told.settings, exif) {
+            write_camera(directory, settings, exif)?;
         }
         if let Some(profile) = told.profile {
             let entry = directory.write_entry_bytes(Type::UNDEFINED, profile)?;
@@ -178,7 +188,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("told.tif");
         let profile: Vec<u8> = (0..=255).collect();
-        let told = Told { description: Some("linear"), software: Some("unlit"), profile: Some(&profile) };
+        let told = Told {
+            description: Some("linear"),
+            software: Some("unlit"),
+            profile: Some(&profile),
+            settings: None,
+        };
         write_rgb16_told(&path, &Image::filled(3, 2, [0.25; 3]), &told).unwrap();
         let mut decoder = Decoder::new(BufReader::new(File::open(&path).unwrap())).unwrap();
         assert_eq!(decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap(), "linear");

@@ -1,9 +1,14 @@
 //! What goes over the wire. Views of the domain's types, with links; the domain's own types stay free of HTTP.
 
+use super::mirror_body::MirrorBody;
 use crate::capture::{self, SessionSummary};
 use crate::http::camera_bodies::{PlanBody, WindowBody};
+use crate::http::links;
+use crate::http::sequence_bodies::SequenceBody;
 use crate::jobs;
+use crate::pair::order::{Order, Part};
 use crate::pair::{self, Settings};
+use crate::session::Room;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -76,6 +81,8 @@ pub(super) struct SessionBody {
     room: Option<RoomBody>,
     /// What had to be put right when it was opened, in sentences.
     recovered: Vec<String>,
+    /// Its second copy; absent without `--mirror`, and until the session is opened.
+    mirror: Option<MirrorBody>,
     /// Why nothing else is known of it, if so.
     problem: Option<String>,
 }
@@ -89,6 +96,12 @@ pub(super) struct RoomBody {
     pairs: Option<u64>,
 }
 
+impl From<Room> for RoomBody {
+    fn from(room: Room) -> Self {
+        Self { free_bytes: room.free, pairs: room.pairs() }
+    }
+}
+
 impl From<SessionSummary> for SessionBody {
     fn from(s: SessionSummary) -> Self {
         let results = s
@@ -96,7 +109,7 @@ impl From<SessionSummary> for SessionBody {
             .iter()
             .map(|file| ResultBody {
                 name: file.rsplit('/').next().unwrap_or(file).to_owned(),
-                url: file_url(&s.name, file),
+                url: links::file(&s.name, file),
             })
             .collect();
         Self {
@@ -111,27 +124,12 @@ impl From<SessionSummary> for SessionBody {
             exposure: s.plan.map(Into::into),
             region: s.region.map(Into::into),
             confirmed: s.confirmed,
-            room: s.room.map(|room| RoomBody { free_bytes: room.free, pairs: room.pairs() }),
+            room: s.room.map(Into::into),
             recovered: s.recovered,
+            mirror: s.mirror.map(Into::into),
             problem: s.problem,
         }
     }
-}
-
-/// Where a session's file is fetched.
-fn file_url(session: &str, file: &str) -> String {
-    format!("/api/v1/sessions/{}/files/{file}", path_segment(session))
-}
-
-/// Percent-encodes all but what RFC 3986 leaves unreserved.
-fn path_segment(text: &str) -> String {
-    text.bytes().fold(String::new(), |mut out, byte| {
-        match byte {
-            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'-' | b'.' | b'_' | b'~' => out.push(char::from(byte)),
-            _ => out.push_str(&format!("%{byte:02X}")),
-        }
-        out
-    })
 }
 
 /// The session to make or open.
@@ -186,11 +184,34 @@ pub(super) struct FlashBody {
     words: String,
 }
 
+/// How room and tripod drifted.
+#[derive(Serialize, ToSchema)]
+pub(super) struct DriftBody {
+    /// The room's light later over its light before, by colour (R, G, B); `null` where it is too dark to tell.
+    ambient: [Option<f64>; 3],
+    /// Displacement in sites (right, down); absent where there is too little structure to tell.
+    shift: Option<[f64; 2]>,
+}
+
+/// One of the times that a pair was shot.
+#[derive(Serialize, ToSchema)]
+pub(super) struct AttemptBody {
+    /// Which, from 1.
+    attempt: u32,
+    /// `accepted` or `rejected`.
+    #[schema(value_type = String, example = "rejected")]
+    verdict: pair::Verdict,
+    /// Why it was rejected.
+    reasons: Vec<ReasonBody>,
+}
+
 /// One pair.
 #[derive(Serialize, ToSchema)]
 pub(super) struct PairBody {
+    /// Where to ask for it.
+    url: String,
     /// Number inside the session, from 1.
-    number: u32,
+    pub(super) number: u32,
     /// Name by which scene cameras are matched.
     name: String,
     /// `accepted` or `rejected`.
@@ -198,47 +219,90 @@ pub(super) struct PairBody {
     verdict: pair::Verdict,
     /// Why it was rejected.
     reasons: Vec<ReasonBody>,
-    /// The frame without flash.
+    /// Which attempt this is, from 1: the last accepted one, or else the last.
+    attempt: u32,
+    /// All attempts at it.
+    attempts: Vec<AttemptBody>,
+    /// In which order its frames were shot: `off_on`, `on_off` or `off_on_off`.
+    #[schema(value_type = String, example = "off_on")]
+    order: Order,
+    /// The frame without flash; the first of them, where there are several.
     off: FrameBody,
+    /// The other frames without flash before the lit one, or after it where that came first.
+    more_off: Vec<FrameBody>,
     /// The frame with flash.
     on: FrameBody,
+    /// Frames without flash after it.
+    after: Vec<FrameBody>,
+    /// How room and tripod drifted from the first frame without flash to the last; absent where there is one alone.
+    drift: Option<DriftBody>,
+    /// Where to fetch a small JPEG of the light that the flash alone threw: on less off.
+    known: String,
     /// The controller's account; absent for imported pairs and manual flashes.
     flash: Option<FlashBody>,
 }
 
 impl PairBody {
-    pub(super) fn new(session: &str, record: pair::PairRecord) -> Self {
-        let frame = |role: &str, f: pair::FrameRecord| FrameBody {
-            url: file_url(session, &format!("pairs/{:04}/{}", record.number, f.file)),
-            thumbnail: format!(
-                "/api/v1/sessions/{}/pairs/{}/{role}/thumbnail.jpg",
-                path_segment(session),
-                record.number
-            ),
-            file: f.file,
-            bytes: f.bytes,
-            blake3: f.blake3,
-            settings: settings_in_words(&f.settings),
-        };
-        let reason = |r: pair::Reason| ReasonBody {
-            code: r.code,
-            figure: r.figure,
-            limit: r.limit,
-            sentence: r.sentence,
-        };
-        Self {
-            number: record.number,
-            off: frame("off", record.off),
-            on: frame("on", record.on),
-            name: record.name,
+    /// Out of all attempts at it; `None` without any.
+    pub(super) fn new(session: &str, attempts: &[pair::PairRecord]) -> Option<Self> {
+        let record = pair::current(attempts)?;
+        let number = record.number;
+        let folder = pair::Attempt::from(record);
+        let mut frames = [Vec::new(), Vec::new(), Vec::new()];
+        for (slot, f) in record.frames() {
+            let body = FrameBody {
+                url: links::file(session, &format!("pairs/{folder}/{}", f.file)),
+                thumbnail: links::thumbnail(session, number, &slot.to_string(), &f.blake3),
+                file: f.file.clone(),
+                bytes: f.bytes,
+                blake3: f.blake3.clone(),
+                settings: settings_in_words(&f.settings),
+            };
+            frames[match slot.part {
+                Part::Off => 0,
+                Part::On => 1,
+                Part::After => 2,
+            }]
+            .push(body);
+        }
+        let [mut off, mut on, after] = frames;
+        Some(Self {
+            url: links::pair(session, number),
+            number,
+            known: links::thumbnail(session, number, "known", &record.on.blake3),
+            more_off: off.split_off(1),
+            off: off.pop()?,
+            on: on.pop()?,
+            after,
+            attempt: record.attempt,
+            attempts: attempts.iter().map(AttemptBody::from).collect(),
+            order: record.order,
+            drift: record.drift.map(|d| DriftBody { ambient: d.ambient, shift: d.shift }),
+            name: record.name.clone(),
             verdict: record.verdict,
-            reasons: record.reasons.into_iter().map(reason).collect(),
-            flash: record.flash.map(|f| FlashBody {
+            reasons: record.reasons.iter().map(ReasonBody::from).collect(),
+            flash: record.flash.as_ref().map(|f| FlashBody {
                 pulses_off: f.pulses_off(),
                 pulses_on: f.pulses_on(),
                 energy_counts: f.energy_counts(),
                 words: f.words(),
             }),
+        })
+    }
+}
+
+impl From<&pair::Reason> for ReasonBody {
+    fn from(r: &pair::Reason) -> Self {
+        Self { code: r.code, figure: r.figure, limit: r.limit, sentence: r.sentence.clone() }
+    }
+}
+
+impl From<&pair::PairRecord> for AttemptBody {
+    fn from(record: &pair::PairRecord) -> Self {
+        Self {
+            attempt: record.attempt,
+            verdict: record.verdict,
+            reasons: record.reasons.iter().map(ReasonBody::from).collect(),
         }
     }
 }
@@ -252,13 +316,25 @@ fn settings_in_words(settings: &Settings) -> String {
     parts.into_iter().flatten().collect::<Vec<_>>().join("  ")
 }
 
-/// The session of the pair; without it the current one, or one named by the day.
-#[derive(Default, Deserialize, ToSchema)]
+/// What is asked of the pair: its session (without it the current one, or one named by the day), its frames.
+#[derive(Default, Deserialize, Serialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PairOrder {
     /// Name of a session that is there.
     #[serde(default)]
     pub(super) session: Option<String>,
+    /// `off_on`, `on_off` or `off_on_off`; without it `off_on`, or with `again` the order that the pair had.
+    #[serde(default)]
+    #[schema(value_type = Option<String>, example = "off_on_off")]
+    pub(super) order: Option<Order>,
+    /// Frames without flash in a row, 1 to 16, of which the mean is taken; without it one, or with `again` as many as
+    /// the pair had. `off_on_off` takes as many after the lit frame.
+    #[serde(default)]
+    #[schema(minimum = 1, maximum = 16)]
+    pub(super) off_frames: Option<u8>,
+    /// Number of a rejected pair that is to be shot again under its own number.
+    #[serde(default)]
+    pub(super) again: Option<u32>,
 }
 
 /// Why a job failed.
@@ -277,12 +353,13 @@ pub(super) struct JobBody {
     id: u64,
     /// Where to ask for it.
     url: String,
-    /// `pair`, `find_exposure`, `flash_shots`, `calibrate_flash`, `import_scene` or `process`.
+    /// `pair`, `develop`, `find_exposure`, `flash_shots`, `repeatability`, `calibrate_flash`, `import_scene`, `process` or
+    /// `verify`.
     #[schema(example = "pair")]
-    kind: &'static str,
+    kind: String,
     /// The session it is about.
     session: String,
-    /// `queued`, `running`, `done`, `failed` or `cancelled`.
+    /// `queued`, `running`, `done`, `failed`, `cancelled` or `interrupted`: the program ended before the job did.
     #[schema(value_type = String, example = "queued")]
     state: jobs::JobState,
     /// What it does just now, in words.
@@ -294,15 +371,23 @@ pub(super) struct JobBody {
     /// What came out of it: for a pair its session, number and verdict.
     #[schema(value_type = Option<Object>)]
     result: Option<serde_json::Value>,
-    /// Why it failed.
+    /// Why it failed, or what it means that it was interrupted.
     problem: Option<JobProblemBody>,
+    /// When it was asked for, UTC.
+    enqueued: String,
+    /// When it began, UTC.
+    started: Option<String>,
+    /// When it ended, UTC; of an interrupted job, when that was found.
+    ended: Option<String>,
+    /// The job that this one does again.
+    retry_of: Option<u64>,
 }
 
 impl From<jobs::Job> for JobBody {
     fn from(job: jobs::Job) -> Self {
         Self {
             id: job.id,
-            url: format!("/api/v1/jobs/{}", job.id),
+            url: links::job(job.id),
             kind: job.kind,
             session: job.subject,
             state: job.state,
@@ -311,12 +396,16 @@ impl From<jobs::Job> for JobBody {
             total: job.total,
             result: job.result,
             problem: job.problem.map(|p| JobProblemBody { code: p.code, words: p.words }),
+            enqueued: job.enqueued,
+            started: job.started,
+            ended: job.ended,
+            retry_of: job.retry_of,
         }
     }
 }
 
 /// Where the calibration card stands.
-#[derive(Deserialize, ToSchema)]
+#[derive(Deserialize, Serialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct CardShotOrder {
     /// Distance from the lens to the card along the axis, metres.
@@ -381,10 +470,16 @@ pub(super) struct StateBody {
     pub(super) devices: DevicesBody,
     /// Name of the session to which new pairs go.
     pub(super) session: Option<String>,
+    /// The same session in a few words, with the room on its disk.
+    pub(super) about: Option<SessionBody>,
+    /// Its newest pair.
+    pub(super) last_pair: Option<PairBody>,
     /// Jobs, newest first.
     pub(super) jobs: Vec<JobBody>,
     /// What the operator is asked at the moment.
     pub(super) prompt: Option<String>,
+    /// Sequences of the sessions that are open.
+    pub(super) sequences: Vec<SequenceBody>,
     /// The simulated studio; absent with real devices.
     pub(super) studio: Option<StudioBody>,
 }

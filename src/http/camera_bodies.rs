@@ -76,7 +76,7 @@ pub(super) struct ExposureOrder {
 }
 
 /// What to look for.
-#[derive(Deserialize, ToSchema)]
+#[derive(Deserialize, Serialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct FindOrder {
     /// Share of saturation at which the brightest channel of the lit frame shall end, 0 to 1.

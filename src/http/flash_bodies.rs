@@ -140,7 +140,7 @@ impl From<FlashAccount> for FlashAccountBody {
 }
 
 /// A repeatability run.
-#[derive(Deserialize, ToSchema)]
+#[derive(Deserialize, Serialize, ToSchema)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct RepeatabilityOrder {
     /// How many shots, each a frame without flash and one with it: 8 to 1000.

@@ -3,29 +3,50 @@
 //!
 //! [`serve`] takes a listener and a shutdown signal that the caller owns, so that tests listen on port 0.
 //! What takes time becomes a job and is answered with 202; a client that leaves changes nothing. Errors are
-//! problem+json (see `problem.rs`); who may ask at all is decided in `guard.rs`.
+//! problem+json (see `problem.rs`). A request's way: `listen` (how many, how slow), `guard` and `door` (who may
+//! ask), `intake` (what bodies may be like), a handler.
 
 mod bodies;
 mod camera_bodies;
+mod caught;
+mod document;
+mod door;
+mod extract;
+mod file_bodies;
 mod flash_bodies;
 mod guard;
+mod idempotency;
+mod intake;
+mod links;
+mod listen;
+mod mirror_body;
 mod page;
+mod paging;
+mod pairing;
+mod pairing_bodies;
 mod problem;
+mod ranges;
 mod routes;
+mod sequence_bodies;
+mod trace;
+mod vitals;
 
 pub use bodies::{StageOrder, StudioBody};
-pub use guard::{NotLoopback, loopback_only};
+pub use door::{Door, DoorError, Patience, Token, TokenError};
+pub use listen::connections_that_fit;
 
 use crate::capture::Desk;
+use crate::jobs::Job;
 use axum::Router;
+use axum::body::Bytes;
+use axum::http::header::CONTENT_TYPE;
 use axum::routing::get;
 use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
-use utoipa::OpenApi;
-use utoipa_axum::router::OpenApiRouter;
+use vitals::Vitals;
 
 /// How long answers may still be under way after the signal to stop.
 const LAST_ANSWERS: Duration = Duration::from_secs(10);
@@ -43,66 +64,57 @@ pub trait StudioControl: Send + Sync {
 struct App {
     desk: Desk,
     studio: Option<Arc<dyn StudioControl>>,
+    /// What was asked for under an `Idempotency-Key`.
+    keys: Arc<idempotency::Keys<Job>>,
+    door: Arc<Door>,
     /// Turns true when the program is about to end: streams end then.
     closing: watch::Receiver<bool>,
-}
-
-#[derive(OpenApi)]
-#[openapi(
-    info(
-        title = "unlit",
-        description = "Takes the light out of photographed objects: pairs, calibration, processing. \
-                       Answers loopback only. Errors are `application/problem+json` with a stable `code`.",
-        license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0")
-    ),
-    tags(
-        (name = "capture", description = "Devices, sessions, pairs"),
-        (name = "processing", description = "Scene, calibration, model, jobs"),
-        (name = "events", description = "What happens, as it happens"),
-        (name = "studio", description = "The simulated studio (`unlit serve --studio`)"),
-    )
-)]
-struct Document;
-
-fn api() -> OpenApiRouter<App> {
-    OpenApiRouter::with_openapi(Document::openapi()).merge(routes::all())
+    vitals: Vitals,
 }
 
 /// The OpenAPI document, pretty JSON with a newline at its end, as `docs/openapi.json` holds it.
 pub fn openapi() -> Result<String, serde_json::Error> {
-    // `{*path}` is axum's way to say that a parameter may hold slashes; OpenAPI has none.
-    Ok(api().into_openapi().to_pretty_json()?.replace("/{*path}", "/{path}") + "\n")
+    document::text(document::api().into_openapi())
 }
 
-/// Answers on `listener` until `shutdown` resolves; then lets running answers end and returns.
+/// Answers whom `door` lets in on `listener` until `shutdown` resolves; then lets running answers end and returns.
 pub async fn serve(
     listener: TcpListener,
     desk: Desk,
     studio: Option<Arc<dyn StudioControl>>,
+    door: Door,
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> std::io::Result<()> {
-    let (close, closing_at) = watch::channel(false);
-    let closing = closing_at.clone();
-    let (routes, _document) = api().split_for_parts();
+    let (close, closing) = watch::channel(false);
+    let (patience, door) = (door.patience, Arc::new(door));
+    let (keys, vitals) = (Arc::default(), Vitals::start());
+    let app = App { desk, studio, keys, door: door.clone(), closing: closing.clone(), vitals };
+    let (routes, document) = document::api().split_for_parts();
+    let document = Bytes::from(document::text(document).map_err(std::io::Error::other)?);
     let router = Router::new()
         .route("/", get(page::index))
         .route("/assets/{file}", get(page::file))
+        .route("/pairing/{file}", get(pairing::file))
+        .route("/api/v1/openapi.json", get(async || ([(CONTENT_TYPE, "application/json")], document)))
         .merge(routes)
         .fallback(routes::nothing_here)
         .method_not_allowed_fallback(routes::wrong_method)
-        .layer(axum::middleware::from_fn(guard::guard))
-        .with_state(App { desk, studio, closing });
-    let mut ending = closing_at.clone();
-    let answering = axum::serve(listener, router).with_graceful_shutdown(async move {
-        shutdown.await;
-        close.send_replace(true);
-    });
+        .layer(axum::middleware::from_fn(caught::panics))
+        .layer(axum::middleware::from_fn_with_state(door, guard::guard))
+        .layer(axum::middleware::from_fn_with_state(app.clone(), trace::trace))
+        .with_state(app);
+    let mut answering = tokio::spawn(listen::answer(listener, router, patience, closing));
     tokio::select! {
-        ended = answering => ended,
-        () = async {
-            // An error says that the sender is gone: then there is nothing left to wait for.
-            drop(ending.wait_for(|closing| *closing).await);
-            tokio::time::sleep(LAST_ANSWERS).await;
-        } => Ok(()),
+        ended = &mut answering => return ended.map_err(std::io::Error::other),
+        () = shutdown => {}
+    }
+    close.send_replace(true);
+    match tokio::time::timeout(LAST_ANSWERS, &mut answering).await {
+        Ok(ended) => ended.map_err(std::io::Error::other),
+        Err(_) => {
+            tracing::warn!("some answers did not end within {LAST_ANSWERS:?} and were broken off");
+            answering.abort();
+            Ok(())
+        }
     }
 }

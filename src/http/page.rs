@@ -1,7 +1,7 @@
 //! The control page: the files of `web/dist`, inside the binary.
 
+use super::extract::Path;
 use super::problem::Problem;
-use axum::extract::Path;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use rust_embed::RustEmbed;

@@ -1,16 +1,14 @@
 //! The queue and its threads, one a lane.
 
-use super::{Job, JobId, JobState, Lane, Order, Problem, Work, WorkError};
+use super::book::{Book, Entry, REMEMBERED, Turn, WAITING_LIMIT};
+use super::logged::logged;
+use super::{Job, JobId, JobState, Lane, Ledger, Load, Order, Problem, Work, WorkError};
 use crate::progress::{Progress, Report};
-use std::collections::VecDeque;
+use crate::session::utc_now;
 use std::panic::AssertUnwindSafe;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Jobs that may wait in one lane.
-const WAITING_LIMIT: usize = 64;
-/// Finished jobs that are remembered.
-const REMEMBERED: usize = 200;
 /// Reports of one stage closer together than this reach nobody but [`Queue::get`].
 const NOTICE_INTERVAL: Duration = Duration::from_millis(100);
 
@@ -29,38 +27,26 @@ pub enum JobsError {
     /// It ended before it could be cancelled.
     #[error("job {0} is finished and cannot be cancelled any more")]
     Finished(JobId),
+    /// It did not come to an end that a retry could mend.
+    #[error("job {0} waits, runs or is done: only what failed, was cancelled or interrupted is retried")]
+    NotRetryable(JobId),
+    /// What it was made from is gone.
+    #[error("job {0} ({1}) cannot be repeated, because what was sent with it is not kept: send it again")]
+    NotRepeatable(JobId, String),
 }
 
-struct Entry {
-    job: Job,
-    progress: Progress,
-    work: Option<Work>,
-}
-
-#[derive(Default)]
-struct Book {
-    last_id: JobId,
-    entries: VecDeque<Entry>,
-    closed: bool,
-}
-
-impl Book {
-    fn entry(&mut self, id: JobId) -> Option<&mut Entry> {
-        self.entries.iter_mut().find(|e| e.job.id == id)
-    }
-
-    fn forget_the_oldest(&mut self) {
-        while self.entries.iter().filter(|e| e.job.state.is_final()).count() > REMEMBERED {
-            let Some(at) = self.entries.iter().position(|e| e.job.state.is_final()) else { return };
-            self.entries.remove(at);
-        }
-    }
-}
+/// Hears of jobs.
+type Notice = Box<dyn Fn(&Job) + Send + Sync>;
+/// Hears of trouble with the ledger, in a sentence.
+type Trouble = Box<dyn Fn(String) + Send + Sync>;
 
 struct Shared {
     book: Mutex<Book>,
+    /// Held while a job is admitted, the ledger's disk included; looking at jobs never waits for it.
+    admission: Mutex<()>,
     woken: Condvar,
-    notice: Box<dyn Fn(&Job) + Send + Sync>,
+    notice: Notice,
+    ledger: Option<(Ledger, Trouble)>,
 }
 
 impl Shared {
@@ -71,15 +57,38 @@ impl Shared {
 
     /// Changes a job under the lock, then tells of it without the lock.
     fn change(&self, id: JobId, change: impl FnOnce(&mut Job)) {
-        let job = {
+        let (before, job) = {
             let mut book = self.book();
             let Some(entry) = book.entry(id) else { return };
+            let before = (entry.job.started.clone(), entry.job.state);
             change(&mut entry.job);
+            let now = || Some(utc_now());
+            if entry.job.state == JobState::Running && entry.job.started.is_none() {
+                entry.job.started = now();
+            }
+            if entry.job.state.is_final() && entry.job.ended.is_none() {
+                entry.job.ended = now();
+            }
             let job = entry.job.clone();
+            if job.lane == Lane::Rig && job.state.is_final() {
+                book.rig_ended();
+            }
             book.forget_the_oldest();
-            job
+            (before, job)
         };
+        if before != (job.started.clone(), job.state) {
+            self.write_down(|ledger| ledger.changed(&job));
+        }
         (self.notice)(&job);
+    }
+
+    /// What the ledger cannot write is told; the work goes on.
+    fn write_down(&self, write: impl FnOnce(&Ledger) -> Option<String>) {
+        if let Some((ledger, trouble)) = &self.ledger
+            && let Some(words) = write(ledger)
+        {
+            trouble(words);
+        }
     }
 }
 
@@ -88,13 +97,33 @@ impl Shared {
 pub struct Queue(Arc<Shared>);
 
 impl Queue {
-    /// Starts both lanes. `notice` hears of every change of any job, from the thread that made it, and must
-    /// not block.
+    /// Starts all lanes. `notice` hears of every change of any job, from the thread that made it, and must
+    /// not block. Nothing is written down.
     pub fn start(notice: impl Fn(&Job) + Send + Sync + 'static) -> std::io::Result<Self> {
-        let shared =
-            Arc::new(Shared { book: Mutex::default(), woken: Condvar::new(), notice: Box::new(notice) });
-        for (lane, name) in [(Lane::Rig, "jobs-rig"), (Lane::Processing, "jobs-processing")] {
+        Self::begin(Book::default(), Box::new(notice), None)
+    }
+
+    /// The same with a ledger: numbers go on from there, and its jobs are remembered. `trouble` hears in a sentence
+    /// when it cannot be written.
+    pub fn resume(
+        ledger: Ledger,
+        notice: impl Fn(&Job) + Send + Sync + 'static,
+        trouble: impl Fn(String) + Send + Sync + 'static,
+    ) -> std::io::Result<Self> {
+        let book = Book::after(ledger.take_past());
+        Self::begin(book, Box::new(notice), Some((ledger, Box::new(trouble))))
+    }
+
+    fn begin(book: Book, notice: Notice, ledger: Option<(Ledger, Trouble)>) -> std::io::Result<Self> {
+        let (book, admission, woken) = (Mutex::new(book), Mutex::default(), Condvar::new());
+        let shared = Arc::new(Shared { book, admission, woken, notice, ledger });
+        for lane in Lane::ALL {
             let shared = shared.clone();
+            let name = match lane {
+                Lane::Rig => "jobs-rig",
+                Lane::Develop => "jobs-develop",
+                Lane::Processing => "jobs-processing",
+            };
             std::thread::Builder::new().name(name.into()).spawn(move || work_off(&shared, lane))?;
         }
         Ok(Self(shared))
@@ -102,37 +131,54 @@ impl Queue {
 
     /// Queues a job and returns it as queued; with `coalesce`, rather the like job that waits already.
     pub fn enqueue(&self, order: Order) -> Result<Job, JobsError> {
-        let job = {
+        let _alone = self.0.admission.lock().unwrap_or_else(PoisonError::into_inner);
+        let id = {
             let mut book = self.0.book();
             if book.closed {
                 return Err(JobsError::Closed);
             }
-            let waiting = || book.entries.iter().map(|e| &e.job).filter(|j| j.state == JobState::Queued);
-            if let Some(like) = waiting().find(|j| {
-                order.coalesce && j.kind == order.kind && j.subject == order.subject && j.lane == order.lane
-            }) {
-                return Ok(like.clone());
+            if let Some(like) = book.like(&order) {
+                drop(book);
+                // It may be due now.
+                self.0.woken.notify_all();
+                return Ok(like);
             }
-            if waiting().filter(|j| j.lane == order.lane).count() >= WAITING_LIMIT {
+            if book.is_full(order.lane) {
                 return Err(JobsError::Full);
             }
             book.last_id += 1;
-            let job = Job {
-                id: book.last_id,
-                kind: order.kind,
-                subject: order.subject,
-                lane: order.lane,
-                state: JobState::Queued,
-                stage: String::new(),
-                done: 0,
-                total: 0,
-                result: None,
-                problem: None,
-            };
-            let progress = self.progress_of(job.id);
-            book.entries.push_back(Entry { job: job.clone(), progress, work: Some(order.work) });
-            job
+            book.last_id
         };
+        let job = Job {
+            id,
+            kind: order.kind.to_owned(),
+            subject: order.subject,
+            lane: order.lane,
+            state: JobState::Queued,
+            stage: String::new(),
+            done: 0,
+            total: 0,
+            result: None,
+            problem: None,
+            enqueued: utc_now(),
+            started: None,
+            ended: None,
+            retry_of: order.retry_of,
+            order: order.order,
+        };
+        self.0.write_down(|ledger| ledger.enqueued(&job, order.durable));
+        let progress = self.progress_of(job.id);
+        {
+            let mut book = self.0.book();
+            if book.closed {
+                drop(book);
+                let cancelled = Job { state: JobState::Cancelled, ended: Some(utc_now()), ..job };
+                self.0.write_down(|ledger| ledger.changed(&cancelled));
+                return Err(JobsError::Closed);
+            }
+            let work = Some(logged(&job, order.work));
+            book.entries.push_back(Entry { job: job.clone(), progress, work, rest: order.rest });
+        }
         (self.0.notice)(&job);
         self.0.woken.notify_all();
         Ok(job)
@@ -176,6 +222,26 @@ impl Queue {
         self.0.book().entry(id).map(|e| e.job.clone()).ok_or(JobsError::Unknown(id))
     }
 
+    /// How busy a lane is.
+    pub fn load(&self, lane: Lane) -> Load {
+        let book = self.0.book();
+        let count =
+            |state| book.entries.iter().filter(|e| e.job.lane == lane && e.job.state == state).count();
+        Load { running: count(JobState::Running), waiting: count(JobState::Queued) }
+    }
+
+    /// A job that did not come to a good end, and what was asked for then.
+    pub fn to_repeat(&self, id: JobId) -> Result<(Job, serde_json::Value), JobsError> {
+        let job = self.get(id)?;
+        if !matches!(job.state, JobState::Failed | JobState::Cancelled | JobState::Interrupted) {
+            return Err(JobsError::NotRetryable(id));
+        }
+        match job.order.clone() {
+            Some(order) => Ok((job, order)),
+            None => Err(JobsError::NotRepeatable(id, job.kind)),
+        }
+    }
+
     /// Asks a job to stop. One that waits is cancelled at once; one that runs stops at its next check, so
     /// the job returned may still be running.
     pub fn cancel(&self, id: JobId) -> Result<Job, JobsError> {
@@ -192,8 +258,10 @@ impl Queue {
                 }
             }),
             JobState::Running => {}
-            JobState::Done | JobState::Failed | JobState::Cancelled => return Err(JobsError::Finished(id)),
+            _ => return Err(JobsError::Finished(id)),
         }
+        // What waits for the rig may be due now.
+        self.0.woken.notify_all();
         self.get(id)
     }
 
@@ -264,155 +332,13 @@ fn next(shared: &Shared, lane: Lane) -> Option<(JobId, Progress, Work)> {
         if book.closed {
             return None;
         }
-        let waiting = book.entries.iter_mut().find(|e| e.job.lane == lane && e.job.state == JobState::Queued);
-        if let Some(entry) = waiting
-            && let Some(work) = entry.work.take()
-        {
-            // From here on no like job is taken for one that still waits.
-            entry.job.state = JobState::Running;
-            return Some((entry.job.id, entry.progress.clone(), work));
-        }
-        book = shared.woken.wait(book).unwrap_or_else(PoisonError::into_inner);
+        book = match book.next(lane) {
+            Turn::Job(id, progress, work) => return Some((id, progress, work)),
+            Turn::In(wait) => shared.woken.wait_timeout(book, wait).unwrap_or_else(PoisonError::into_inner).0,
+            Turn::Nobody => shared.woken.wait(book).unwrap_or_else(PoisonError::into_inner),
+        };
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use std::sync::mpsc;
-
-    fn order(kind: &'static str, coalesce: bool, work: Work) -> Order {
-        Order { kind, subject: "vase".into(), lane: Lane::Processing, coalesce, work }
-    }
-
-    fn finished(queue: &Queue, id: JobId) -> Job {
-        let end = Instant::now() + Duration::from_secs(10);
-        loop {
-            let job = queue.get(id).unwrap();
-            if job.state.is_final() {
-                return job;
-            }
-            assert!(Instant::now() < end, "job {id} did not end: {job:?}");
-            std::thread::yield_now();
-        }
-    }
-
-    /// A job that runs until it is let go; the first channel tells that it runs.
-    fn gated(queue: &Queue, kind: &'static str) -> (JobId, mpsc::Sender<()>) {
-        let (running, runs) = mpsc::channel();
-        let (go, gate) = mpsc::channel::<()>();
-        let work: Work = Box::new(move |_| {
-            running.send(()).unwrap();
-            gate.recv().unwrap();
-            Ok(serde_json::Value::Null)
-        });
-        let id = queue.enqueue(order(kind, true, work)).unwrap().id;
-        runs.recv_timeout(Duration::from_secs(10)).unwrap();
-        (id, go)
-    }
-
-    #[test]
-    fn a_job_reports_progress_and_ends_done_with_its_result() {
-        let (tx, rx) = mpsc::channel();
-        let queue = Queue::start(move |job| tx.send((job.state, job.done)).unwrap()).unwrap();
-        let work: Work = Box::new(|progress| {
-            progress.report("half", 1, 2);
-            Ok(serde_json::json!({"texels": 7}))
-        });
-        let id = queue.enqueue(order("process", false, work)).unwrap().id;
-        let job = finished(&queue, id);
-        assert_eq!((job.state, job.result), (JobState::Done, Some(serde_json::json!({"texels": 7}))));
-        let heard: Vec<_> = rx.iter().take(4).collect();
-        assert_eq!(
-            heard,
-            [(JobState::Queued, 0), (JobState::Running, 0), (JobState::Running, 1), (JobState::Done, 1)]
-        );
-    }
-
-    #[test]
-    fn a_waiting_job_swallows_its_like_and_a_running_one_does_not() {
-        let queue = Queue::start(|_| {}).unwrap();
-        let (running, go) = gated(&queue, "process");
-        let noop = || -> Work { Box::new(|_| Ok(serde_json::Value::Null)) };
-        let second = queue.enqueue(order("process", true, noop())).unwrap().id;
-        let third = queue.enqueue(order("process", true, noop())).unwrap().id;
-        assert_ne!(second, running);
-        assert_eq!(third, second);
-        go.send(()).unwrap();
-        assert_eq!(finished(&queue, second).state, JobState::Done);
-    }
-
-    #[test]
-    fn a_waiting_job_is_cancelled_at_once_and_never_runs() {
-        let queue = Queue::start(|_| {}).unwrap();
-        let (_, go) = gated(&queue, "first");
-        let id = queue.enqueue(order("second", false, Box::new(|_| panic!("ran")))).unwrap().id;
-        assert_eq!(queue.cancel(id).unwrap().state, JobState::Cancelled);
-        go.send(()).unwrap();
-        let after = queue.enqueue(order("third", false, Box::new(|_| Ok(1.into())))).unwrap().id;
-        assert_eq!(finished(&queue, after).state, JobState::Done);
-        assert_eq!(queue.get(id).unwrap().state, JobState::Cancelled);
-        assert_eq!(queue.cancel(id), Err(JobsError::Finished(id)));
-    }
-
-    #[test]
-    fn a_running_job_stops_at_its_next_check() {
-        let queue = Queue::start(|_| {}).unwrap();
-        let (running, runs) = mpsc::channel();
-        let work: Work = Box::new(move |progress| {
-            running.send(()).unwrap();
-            loop {
-                progress.check()?;
-                std::thread::yield_now();
-            }
-        });
-        let id = queue.enqueue(order("endless", false, work)).unwrap().id;
-        runs.recv_timeout(Duration::from_secs(10)).unwrap();
-        queue.cancel(id).unwrap();
-        assert_eq!(finished(&queue, id).state, JobState::Cancelled);
-    }
-
-    #[test]
-    fn a_panic_fails_its_job_and_spares_the_next() {
-        let queue = Queue::start(|_| {}).unwrap();
-        let bad = queue.enqueue(order("bad", false, Box::new(|_| panic!("boom")))).unwrap().id;
-        let good = queue.enqueue(order("good", false, Box::new(|_| Ok(1.into())))).unwrap().id;
-        let job = finished(&queue, bad);
-        assert_eq!(job.state, JobState::Failed);
-        assert!(job.problem.unwrap().words.contains("boom"));
-        assert_eq!(finished(&queue, good).state, JobState::Done);
-    }
-
-    #[test]
-    fn the_lanes_do_not_wait_for_each_other() {
-        let queue = Queue::start(|_| {}).unwrap();
-        let (_, go) = gated(&queue, "process");
-        let shot = Order {
-            kind: "pair",
-            subject: "vase".into(),
-            lane: Lane::Rig,
-            coalesce: false,
-            work: Box::new(|_| Ok(1.into())),
-        };
-        let id = queue.enqueue(shot).unwrap().id;
-        assert_eq!(finished(&queue, id).state, JobState::Done);
-        go.send(()).unwrap();
-    }
-
-    #[test]
-    fn the_queue_is_bounded_and_closes() {
-        let queue = Queue::start(|_| {}).unwrap();
-        let (running, go) = gated(&queue, "first");
-        for _ in 0..WAITING_LIMIT {
-            queue.enqueue(order("more", false, Box::new(|_| Ok(1.into())))).unwrap();
-        }
-        let over = queue.enqueue(order("more", false, Box::new(|_| Ok(1.into()))));
-        assert_eq!(over.err(), Some(JobsError::Full));
-        assert!(!queue.shut_down(Duration::from_millis(1)), "the first job still runs");
-        go.send(()).unwrap();
-        assert!(queue.shut_down(Duration::from_secs(10)));
-        assert_eq!(queue.get(running).unwrap().state, JobState::Done);
-        let closed = queue.enqueue(order("late", false, Box::new(|_| Ok(1.into()))));
-        assert_eq!(closed.err(), Some(JobsError::Closed));
-    }
-}
+mod tests;

@@ -13,23 +13,24 @@ const EXPOSURE: [&str; 3] = ["shutter", "aperture", "iso"];
 const NO_SETTING: [&str; 2] = ["make", "taken_at"];
 const ADVICE: &str = "lock the exposure (mode M, fixed ISO and white balance) and shoot the pair again";
 
-/// All differences between what the files tell and what should be.
+/// All differences between what the files tell and what should be; `names` are what the two frames are called.
 pub(super) fn differences(
     off: &Settings,
     on: &Settings,
     plan: Option<&Plan>,
+    names: [&str; 2],
     limits: &Limits,
 ) -> Vec<Reason> {
     let mut reasons = vec![];
     match plan {
         Some(plan) => {
-            reasons.extend(against_plan(off, &plan.off, "unlit", limits));
-            reasons.extend(against_plan(on, &plan.on, "lit", limits));
+            reasons.extend(against_plan(off, &plan.off, names[0], limits));
+            reasons.extend(against_plan(on, &plan.on, names[1], limits));
         }
-        None => reasons.extend(against_partner(off, on, limits, |name| EXPOSURE.contains(&name))),
+        None => reasons.extend(against_partner(off, on, names, limits, |name| EXPOSURE.contains(&name))),
     }
     let other = |name: &str| !EXPOSURE.contains(&name) && !NO_SETTING.contains(&name);
-    reasons.extend(against_partner(off, on, limits, other));
+    reasons.extend(against_partner(off, on, names, limits, other));
     reasons
 }
 
@@ -89,6 +90,7 @@ fn against_plan(found: &Settings, planned: &Exposure, frame: &str, limits: &Limi
 fn against_partner(
     off: &Settings,
     on: &Settings,
+    [off_name, on_name]: [&str; 2],
     limits: &Limits,
     wanted: impl Fn(&str) -> bool,
 ) -> Vec<Reason> {
@@ -103,8 +105,9 @@ fn against_partner(
             _ => (1.0, 0.0),
         };
         let name = name(key);
-        let sentence =
-            format!("The {name} is {lit} in the lit frame but {unlit} in the unlit frame; {ADVICE}.");
+        let sentence = format!(
+            "The {name} is {lit} in the {on_name} frame but {unlit} in the {off_name} frame; {ADVICE}."
+        );
         reasons.push(Reason { code: ReasonCode::SettingsChanged, figure, limit, sentence });
     }
     reasons
@@ -135,6 +138,7 @@ mod tests {
     use super::*;
     use crate::units::{FNumber, Iso, Seconds};
 
+    const NAMES: [&str; 2] = ["unlit", "lit"];
     const FAST: Exposure =
         Exposure { shutter: Seconds(1.0 / 125.0), aperture: FNumber(11.0), iso: Iso(100.0) };
     const SLOW: Exposure = Exposure { shutter: Seconds(1.0 / 60.0), ..FAST };
@@ -152,8 +156,8 @@ mod tests {
     #[test]
     fn frames_are_held_against_each_other_without_a_plan() {
         let limits = Limits::default();
-        assert_eq!(differences(&told(FAST), &told(FAST), None, &limits), []);
-        let reasons = differences(&told(SLOW), &told(FAST), None, &limits);
+        assert_eq!(differences(&told(FAST), &told(FAST), None, NAMES, &limits), []);
+        let reasons = differences(&told(SLOW), &told(FAST), None, NAMES, &limits);
         assert_eq!((reasons.len(), reasons[0].figure, reasons[0].limit), (1, 1.0 / 125.0, 1.0 / 60.0));
         assert!(reasons[0].sentence.contains("shutter time"), "{}", reasons[0].sentence);
     }
@@ -162,11 +166,11 @@ mod tests {
     fn each_frame_is_held_against_its_own_planned_exposure() {
         let limits = Limits::default();
         let plan = Plan { off: SLOW, on: FAST };
-        assert_eq!(differences(&told(SLOW), &told(FAST), Some(&plan), &limits), []);
-        let reasons = differences(&told(FAST), &told(FAST), Some(&plan), &limits);
+        assert_eq!(differences(&told(SLOW), &told(FAST), Some(&plan), NAMES, &limits), []);
+        let reasons = differences(&told(FAST), &told(FAST), Some(&plan), NAMES, &limits);
         assert_eq!(reasons.len(), 1);
         assert!(reasons[0].sentence.contains("1/125 s in the unlit frame but 1/60 s in the plan"));
-        assert_eq!(differences(&told(SLOW), &told(SLOW), Some(&plan), &limits).len(), 1);
+        assert_eq!(differences(&told(SLOW), &told(SLOW), Some(&plan), NAMES, &limits).len(), 1);
         assert!((room_ratio(Some(&plan)) - 0.5).abs() < 1e-9);
     }
 
@@ -175,7 +179,10 @@ mod tests {
         let true_values =
             Exposure { shutter: Seconds(1.0 / 64.0), aperture: FNumber(11.3137), iso: Iso(100.0) };
         let plan = Plan { off: SLOW, on: SLOW };
-        assert_eq!(differences(&told(true_values), &told(true_values), Some(&plan), &Limits::default()), []);
+        assert_eq!(
+            differences(&told(true_values), &told(true_values), Some(&plan), NAMES, &Limits::default()),
+            []
+        );
     }
 
     #[test]
@@ -183,12 +190,12 @@ mod tests {
         let plan = Plan { off: SLOW, on: FAST };
         let auto =
             Settings { white_balance: Some("Auto".into()), taken_at: Some("now".into()), ..told(FAST) };
-        let reasons = differences(&told(SLOW), &auto, Some(&plan), &Limits::default());
+        let reasons = differences(&told(SLOW), &auto, Some(&plan), NAMES, &Limits::default());
         assert_eq!(reasons.len(), 1);
         assert!(reasons[0].sentence.starts_with("The white balance is \"Auto\""), "{}", reasons[0].sentence);
         let untold = Settings::default();
-        assert_eq!(differences(&untold, &auto, None, &Limits::default()), []);
-        let reasons = differences(&untold, &told(FAST), Some(&plan), &Limits::default());
+        assert_eq!(differences(&untold, &auto, None, NAMES, &Limits::default()), []);
+        let reasons = differences(&untold, &told(FAST), Some(&plan), NAMES, &Limits::default());
         assert_eq!(reasons.len(), 2);
         assert!(reasons[0].sentence.contains("does not tell its shutter time"), "{}", reasons[0].sentence);
     }

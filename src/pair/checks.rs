@@ -64,6 +64,8 @@ pub struct Files<'a> {
     pub on: &'a str,
     /// Frames of the session's pairs: what each was, and in which pair.
     pub earlier: &'a BTreeMap<String, (Role, u32)>,
+    /// Those of further unlit frames.
+    pub more: &'a [String],
     /// Whether several pairs may share one unlit frame: photographers who shoot to a card may do so, a camera
     /// that just released may not.
     pub may_share_unlit: bool,
@@ -90,8 +92,9 @@ pub fn judge_expecting(off: FrameView, on: FrameView, expected: &Expected, limit
         // It is no frame of this pair, so that nothing else about it is worth telling.
         return Judgement { reasons: vec![repeated], stop: None };
     }
-    let mut reasons = agreement::differences(off.settings, on.settings, expected.plan, limits);
-    if let Some(reason) = changed_size(off.mosaic, on.mosaic) {
+    let mut reasons =
+        agreement::differences(off.settings, on.settings, expected.plan, ["unlit", "lit"], limits);
+    if let Some(reason) = changed_size(off.mosaic, on.mosaic, "lit") {
         reasons.push(reason);
         return Judgement { reasons, stop: None };
     }
@@ -109,7 +112,8 @@ pub fn judge_expecting(off: FrameView, on: FrameView, expected: &Expected, limit
         return Judgement { reasons, stop: None };
     }
     let weak = light::weak(&survey, on.mosaic, limits);
-    let moved = moved(&survey.cells, limits);
+    let [off_cells, on_cells] = &survey.cells;
+    let moved = moved(motion::shift(off_cells, on_cells), "lit", limits);
     // Shifted edges darken too, and so does a shorter exposure: then nothing is known of the room's light.
     let ambient =
         if moved.is_none() && same_settings { light::ambient_changed(&survey, limits) } else { None };
@@ -139,8 +143,15 @@ fn repeated(files: Files) -> Option<Reason> {
     let told = |frame: Role, (role, pair): (Role, u32)| {
         format!("The {} frame is bit for bit the {} frame of pair {pair}", words(frame), words(role))
     };
+    let own: Vec<&str> =
+        [files.off, files.on].into_iter().chain(files.more.iter().map(String::as_str)).collect();
+    let further = |i: usize, digest: &String| own[..i + 2].contains(&digest.as_str());
     let what = if files.off == files.on {
         "The lit frame is bit for bit the unlit frame".to_owned()
+    } else if files.more.iter().enumerate().any(|(i, digest)| further(i, digest)) {
+        "Two of the pair's frames are bit for bit the same".to_owned()
+    } else if let Some(found) = files.more.iter().find_map(|digest| earlier(digest)) {
+        told(Role::Unlit, found)
     } else if let Some(found) = earlier(files.on) {
         told(Role::Lit, found)
     } else {
@@ -153,21 +164,22 @@ fn repeated(files: Files) -> Option<Reason> {
     Some(Reason { code: ReasonCode::Repeated, figure: 1.0, limit: 0.0, sentence })
 }
 
-fn changed_size(off: &Mosaic, on: &Mosaic) -> Option<Reason> {
+/// `name` is what the frame `on` is called.
+pub(super) fn changed_size(off: &Mosaic, on: &Mosaic, name: &str) -> Option<Reason> {
     let size = |m: &Mosaic| (m.dn.width(), m.dn.height());
     if size(off) == size(on) && off.cfa == on.cfa {
         return None;
     }
     let ((ow, oh), (w, h)) = (size(off), size(on));
     let sentence = format!(
-        "The lit frame has {w} x {h} sites with the filter array {:?}, the unlit one {ow} x {oh} with {:?}; shoot both with one camera in one raw size.",
+        "The {name} frame has {w} x {h} sites with the filter array {:?}, the unlit one {ow} x {oh} with {:?}; shoot both with one camera in one raw size.",
         on.cfa.0, off.cfa.0
     );
     let (figure, limit) = ((w * h) as f64, (ow * oh) as f64);
     Some(Reason { code: ReasonCode::SettingsChanged, figure, limit, sentence })
 }
 
-fn whole_frame(mosaic: &Mosaic) -> Region {
+pub(super) fn whole_frame(mosaic: &Mosaic) -> Region {
     Region { x: 0, y: 0, width: mosaic.dn.width(), height: mosaic.dn.height() }
 }
 
@@ -188,12 +200,13 @@ fn region_outside(region: Region, whole: Region) -> Option<Reason> {
     Some(Reason { code: ReasonCode::SettingsChanged, figure, limit, sentence })
 }
 
-fn moved([off, on]: &[survey::Cells; 2], limits: &Limits) -> Option<Reason> {
-    let (x, y) = motion::shift(off, on)?;
+/// `name` is what the frame is called that is displaced.
+pub(super) fn moved(shift: Option<(f64, f64)>, name: &str, limits: &Limits) -> Option<Reason> {
+    let (x, y) = shift?;
     let distance = x.hypot(y);
     (distance > limits.shift_sites).then(|| {
         let sentence = format!(
-            "The lit frame is displaced by {distance:.2} pixels ({x:+.2} right, {y:+.2} down), more than {:.2}; use a stand and a remote release, and shoot the pair again.",
+            "The {name} frame is displaced by {distance:.2} pixels ({x:+.2} right, {y:+.2} down), more than {:.2}; use a stand and a remote release, and shoot the pair again.",
             limits.shift_sites
         );
         Reason { code: ReasonCode::Moved, figure: distance, limit: limits.shift_sites, sentence }
@@ -201,7 +214,7 @@ fn moved([off, on]: &[survey::Cells; 2], limits: &Limits) -> Option<Reason> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::pair::Exposure;
     use crate::photometry::{Cfa, LevelSource, Levels};
@@ -211,7 +224,7 @@ mod tests {
     use rand_distr::{Distribution, Normal};
 
     /// A frame of `light(x, y)` electrons at 3 electrons a DN with shot noise and 5 electrons of read noise.
-    fn frame(seed: u64, light: impl Fn(f64, f64) -> f64) -> Mosaic {
+    pub(in crate::pair) fn frame(seed: u64, light: impl Fn(f64, f64) -> f64) -> Mosaic {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let dn = Image::from_fn(320, 256, |x, y| {
             let signal = light(x as f64, y as f64);
@@ -227,7 +240,7 @@ mod tests {
         Mosaic { dn, cfa: Cfa::RGGB, levels }
     }
 
-    fn room(x: f64, y: f64) -> f64 {
+    pub(in crate::pair) fn room(x: f64, y: f64) -> f64 {
         let waves = (x / 9.0).sin() * (y / 7.0).cos() + (x * y / 900.0).sin() + ((x + 2.0 * y) / 23.0).sin();
         3200.0 + 1000.0 * waves
     }
@@ -288,13 +301,30 @@ mod tests {
         let settings = Settings::default();
         let view = |mosaic| FrameView { mosaic, settings: &settings };
         let earlier = BTreeMap::from([("u".to_owned(), (Role::Unlit, 7)), ("l".to_owned(), (Role::Lit, 7))]);
-        let judged = |off_digest, on_digest, may_share_unlit| {
-            let files = Some(Files { off: off_digest, on: on_digest, earlier: &earlier, may_share_unlit });
+        let judged_with = |off_digest, on_digest, may_share_unlit, more: &[&str]| {
+            let more: Vec<String> = more.iter().map(|d| (*d).to_owned()).collect();
+            let files = Some(Files {
+                off: off_digest,
+                on: on_digest,
+                more: &more,
+                earlier: &earlier,
+                may_share_unlit,
+            });
             let expected = Expected { files, ..Expected::default() };
             let reasons = judge_expecting(view(&off), view(&on), &expected, &Limits::default()).reasons;
             reasons.into_iter().map(|r| (r.code, r.sentence)).next()
         };
+        let judged = |off, on, may_share| judged_with(off, on, may_share, &[]);
         assert_eq!(judged("a", "b", false), None);
+        assert_eq!(judged_with("a", "b", false, &["c", "d"]), None);
+        for more in [["c", "c"], ["c", "b"], ["a", "c"]] {
+            let (code, sentence) = judged_with("a", "b", true, &more).unwrap();
+            assert!(
+                code == ReasonCode::Repeated && sentence.contains("Two of the pair's frames"),
+                "{sentence}"
+            );
+        }
+        assert!(judged_with("a", "b", false, &["c", "l"]).unwrap().1.contains("lit frame of pair 7"));
         assert_eq!(judged("u", "b", true), None);
         for (off, on, shared, words) in [
             ("a", "a", true, "the unlit frame:"),

@@ -42,6 +42,10 @@ pub struct Limits {
     pub shift_sites: f64,
     /// Share of the room's light by which a block must darken before it counts: flash cannot darken.
     pub ambient_fall: f64,
+    /// Share of itself by which the room's light may differ between two frames without flash of one pair. Between the
+    /// first and one after the lit frame a slope cancels out of the mean; a step instead of a slope leaves half of it,
+    /// and half of 0.04 is what `ambient_fall` lets pass.
+    pub ambient_drift: f64,
     /// Largest share of the frame's blocks that may darken by that much.
     pub darkened_share: f64,
     /// Relative difference up to which shutter, aperture, ISO and focal length are the same. A third of a
@@ -64,6 +68,7 @@ impl Default for Limits {
             clipped_share: 0.01,
             shift_sites: 0.5,
             ambient_fall: 0.02,
+            ambient_drift: 0.04,
             darkened_share: 0.005,
             setting_tolerance: 0.01,
         }

@@ -2,12 +2,14 @@
 
 mod agreement;
 mod checks;
+mod drift;
 pub mod energy;
 pub mod finding;
 mod flash;
 mod light;
 mod limits;
 mod motion;
+pub mod order;
 pub mod parts;
 mod plan;
 pub mod proof;
@@ -17,9 +19,10 @@ mod stop;
 mod survey;
 
 pub use checks::{EnergyExpectation, Expected, Files, FrameView, Judgement, Role, judge, judge_expecting};
+pub use drift::{Drift, compare_dark};
 pub use flash::{FlashRecord, FlashSync, SyncSource};
 pub use limits::Limits;
 pub use plan::{Dial, Exposure, Offered, Plan, Window, WindowOutside};
-pub use record::{CompanionRecord, FrameRecord, PairRecord, Reason, ReasonCode, Verdict};
+pub use record::{Attempt, CompanionRecord, FrameRecord, PairRecord, Reason, ReasonCode, Verdict, current};
 pub use settings::Settings;
 pub use stop::{EarlierStops, Stop, StopKey};

@@ -11,6 +11,6 @@ pub mod saturation;
 
 pub use demosaic::{Known, demosaic};
 pub use gain::FlashGain;
-pub use isolate::{IsolateError, KnownMosaic, isolate, isolate_dark};
+pub use isolate::{IsolateError, KnownMosaic, RoomLight, isolate, isolate_dark, isolate_mean};
 pub use mosaic::{Cfa, LevelSource, Levels, Mosaic};
 pub use noise::{NoNoise, NoiseModel};

@@ -4,7 +4,10 @@ use crate::calibration::FlashCalibration;
 use crate::codec::raw::RawError;
 use crate::pair::{PairRecord, Settings};
 use crate::photometry::apex::{ExposureScale, Nominal};
-use crate::photometry::{FlashGain, IsolateError, Known, KnownMosaic, demosaic, isolate};
+use crate::photometry::saturation::SaturationTable;
+use crate::photometry::{
+    FlashGain, IsolateError, Known, KnownMosaic, NoiseModel, RoomLight, demosaic, isolate, isolate_mean,
+};
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
@@ -73,20 +76,40 @@ pub fn known_light(
     Ok(demosaic(&sites, calibration.radiance).at_reference(gain))
 }
 
-/// The flash's own light of a pair on sensor sites, at whatever energy the pulse had.
+/// The flash's own light of a pair on sensor sites, at whatever energy the pulse had. Of several frames without flash
+/// the mean is taken off: as [`order`](crate::pair::order) has them, every slope of the room's light cancels in it.
 pub fn known_sites(
     session: &Session,
     pair: &PairRecord,
     calibration: &FlashCalibration,
 ) -> Result<KnownMosaic, DevelopError> {
-    let folder = session.pair_dir(pair.number);
-    let measured = saturation::load(session)?;
-    let read = |file: &str| saturation::read(&folder.join(file), &measured);
+    isolated_sites(session, pair, &saturation::load(session)?, &calibration.noise)
+}
+
+/// The same with the sensor's saturation and noise as given.
+pub(super) fn isolated_sites(
+    session: &Session,
+    pair: &PairRecord,
+    measured: &SaturationTable,
+    noise: &NoiseModel,
+) -> Result<KnownMosaic, DevelopError> {
+    let folder = session.pair_dir(pair);
+    let read = |file: &str| saturation::read(&folder.join(file), measured);
     let (on, off) = rayon::join(|| read(&pair.on.file), || read(&pair.off.file));
     let scale = exposure_ratio(&pair.on.settings, &pair.off.settings)
         .map_err(|setting| DevelopError::Lacking { name: pair.name.clone(), setting })?;
-    isolate(&on?.mosaic, &off?.mosaic, scale as f32, &calibration.noise)
-        .map_err(|source| DevelopError::Isolate { name: pair.name.clone(), source })
+    let (on, off) = (on?.mosaic, off?.mosaic);
+    let unfit = |source| DevelopError::Isolate { name: pair.name.clone(), source };
+    let mut further = pair.dark_frames().skip(1).peekable();
+    if further.peek().is_none() {
+        return isolate(&on, &off, scale as f32, noise).map_err(unfit);
+    }
+    let mut room = RoomLight::of(&off);
+    drop(off);
+    for frame in further {
+        room.add(&read(&frame.file)?.mosaic).map_err(unfit)?;
+    }
+    isolate_mean(&on, &room, scale as f32, noise).map_err(unfit)
 }
 
 /// The lamp as the pair's lit frame saw it: the room's light goes with t ISO / N^2, the flash's with ISO / N^2
@@ -111,7 +134,7 @@ pub fn lamp(pair: &PairRecord, calibration: &FlashCalibration) -> Result<Lamp, D
 
 /// S_on / S_off with S = t ISO / N^2, by what the labels stand for. What neither frame tells counts as equal; what one of them lacks is an error
 /// that names the setting.
-pub(super) fn exposure_ratio(on: &Settings, off: &Settings) -> Result<f64, &'static str> {
+pub(crate) fn exposure_ratio(on: &Settings, off: &Settings) -> Result<f64, &'static str> {
     let ratio = |on: Option<f64>, off: Option<f64>, setting| match (on, off) {
         (Some(on), Some(off)) => Ok(on / off),
         (None, None) => Ok(1.0),

@@ -49,7 +49,8 @@ pub struct FlashAccount {
 pub fn account(session: &Session) -> Result<FlashAccount, EnergyError> {
     let calibration = if super::flash::exists(session) { Some(super::flash::load(session)?) } else { None };
     let repeatability = repeatability(session)?;
-    let pairs = session.pairs()?;
+    // Each attempt at a pair fired the flash, and what was rejected drained it as well.
+    let pairs: Vec<PairRecord> = session.attempts()?.into_values().flatten().collect();
     let scale = scale(&pairs, calibration.as_ref(), repeatability.as_ref());
     Ok(FlashAccount { trend: trend(&pairs, &scale), scale, repeatability })
 }

@@ -9,7 +9,7 @@ use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::{develop::exposure_ratio, scene};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Distortion, Intrinsics};
-use crate::session::{Session, store};
+use crate::session::{Session, SessionError, store};
 use glam::DVec2;
 use std::path::{Path, PathBuf};
 
@@ -68,6 +68,9 @@ pub enum FlashError {
     /// The session's saturation table cannot be read.
     #[error(transparent)]
     Saturation(#[from] SaturationError),
+    /// The session refused.
+    #[error(transparent)]
+    Session(#[from] SessionError),
     /// `flash.json` is broken.
     #[error("{} is damaged ({reason}); run `unlit calibrate flash` again", path.display())]
     Damaged {
@@ -154,7 +157,7 @@ pub fn calibrate(
     let path = file(session);
     let bytes = serde_json::to_vec_pretty(&fit)
         .map_err(|e| FlashError::Damaged { path: path.clone(), reason: e.to_string() })?;
-    store::write_atomic(&path, &bytes).map_err(io(&path))?;
+    session.keep(&path, &bytes)?;
     progress.report("fitting the flash", 1, 1);
     Ok(fit)
 }

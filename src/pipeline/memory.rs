@@ -25,7 +25,8 @@ const TEXEL_PLACE: f64 = 16.0;
 const TEXEL_SOLVED: f64 = 30.0;
 const TEXEL_WRITTEN: f64 = 68.0;
 
-/// Bytes of a pixel of the photograph at hand, at the first and at the second look: raws, known light, variance.
+/// Bytes of a pixel of the photograph at hand, at the first and at the second look: raws, known light, variance; and
+/// with several frames without flash, their sum.
 const PIXEL_FIRST: f64 = 60.0;
 const PIXEL_SECOND: f64 = 30.0;
 

@@ -10,6 +10,7 @@ mod manifest;
 pub mod memory;
 mod output;
 pub mod pairs;
+pub mod photos;
 pub mod process;
 mod report;
 pub mod saturation;

@@ -6,13 +6,14 @@
 //! over; a name that is there with other bytes is an error.
 
 use crate::codec::{exif::settings as settings_of, raw};
-use crate::pair::{self, Expected, FrameView, Judgement, Limits, PairRecord, Settings};
+use crate::pair::order::Slot;
+use crate::pair::{self, Drift, Expected, FrameView, Judgement, Limits, PairRecord, Plan, Reason, Settings};
 use crate::photometry::inspect::Region;
 use crate::photometry::saturation::SaturationTable;
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::stops::{Delivery, Earlier, EarlierError};
 use crate::progress::{Cancelled, Progress};
-use crate::session::{Commit, Manifest, NewFrame, NewPair, Prepared, Session, SessionError, store};
+use crate::session::{Commit, Manifest, More, NewFrame, NewPair, Prepared, Session, SessionError, store};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -181,6 +182,7 @@ fn import_pair(
         },
         reasons,
         flash: None,
+        more: More::default(),
     };
     Ok(match session.commit_pair(new)? {
         Commit::Stored(record) => {
@@ -205,9 +207,6 @@ pub fn judge(
     expected: &Expected,
     limits: &Limits,
 ) -> Judgement {
-    fn view(photo: &raw::Photo) -> FrameView<'_> {
-        FrameView { mosaic: &photo.mosaic, settings: &photo.settings }
-    }
     match (off, on) {
         (Ok(off), Ok(on)) => pair::judge_expecting(view(off), view(on), expected, limits),
         (off, on) => {
@@ -215,6 +214,26 @@ pub fn judge(
             Judgement { reasons: errors.map(raw::RawError::reason).collect(), stop: None }
         }
     }
+}
+
+/// Holds a further frame without flash against the pair's first, as decoded: what is wrong with it, and how room and
+/// camera drifted. What is wrong with the first itself is [`judge`]'s to say.
+pub fn judge_dark(
+    first: &Result<raw::Photo, raw::RawError>,
+    later: &Result<raw::Photo, raw::RawError>,
+    slot: Slot,
+    plan: Option<&Plan>,
+    limits: &Limits,
+) -> (Vec<Reason>, Option<Drift>) {
+    match (first, later) {
+        (Ok(first), Ok(later)) => pair::compare_dark(view(first), view(later), slot, plan, limits),
+        (_, Err(error)) => (vec![error.reason()], None),
+        (Err(_), Ok(_)) => (vec![], None),
+    }
+}
+
+fn view(photo: &raw::Photo) -> FrameView<'_> {
+    FrameView { mosaic: &photo.mosaic, settings: &photo.settings }
 }
 
 fn files_by_stem(folder: &Path) -> Result<BTreeMap<String, PathBuf>, ImportError> {

@@ -231,7 +231,7 @@ pub fn process(
     let choice = (options.uvs, options.texture_size.is_some());
     let (size, uvs) = uvs::settle(&mut inputs.scene, choice, fitting, progress)?;
     inputs.uvs = (options.uvs, uvs);
-    let key = digest(&[inputs.key.as_bytes(), &size.to_le_bytes(), format!("{:?}", inputs.uvs).as_bytes()]);
+    let key = texture_key(&inputs.key, size, &inputs.uvs);
     let mut manifest = StageManifest::load(session);
     let mut summary = match stored(session).filter(|_| manifest.is_done(session, "texture", &key)) {
         Some(summary) => ProcessSummary { up_to_date: true, ..summary },
@@ -250,6 +250,22 @@ pub fn process(
         summary.up_to_date &= summary.views.0 == 0;
     }
     Ok(summary)
+}
+
+/// Whether the model is missing, or was not made from what the session holds now. An error says that something is
+/// missing to make it from.
+pub fn is_due(session: &Session) -> Result<bool, ProcessError> {
+    let inputs = Inputs::read(session)?;
+    // At the last run's size and texture coordinates: other inputs make another key in any case.
+    Ok(!stored(session).is_some_and(|summary| {
+        let uvs = (summary.uv_choice, summary.uvs);
+        let key = texture_key(&inputs.key, summary.texture_size, &uvs);
+        StageManifest::load(session).is_done(session, "texture", &key)
+    }))
+}
+
+fn texture_key(inputs: &str, size: usize, uvs: &(UvChoice, UvSource)) -> String {
+    digest(&[inputs.as_bytes(), &size.to_le_bytes(), format!("{uvs:?}").as_bytes()])
 }
 
 /// The summary of the last run, if there is one.
@@ -291,8 +307,7 @@ impl Inputs {
             parts.push(std::fs::read(&path).map_err(io(&path))?);
         }
         for (pair, _) in &matched {
-            let (off, on) = (&pair.off.blake3, &pair.on.blake3);
-            parts.push(format!("{} {off} {on}", pair.name).into_bytes());
+            parts.push(originals(pair).into_bytes());
         }
         // Gains come out of it, and the report tells all of it.
         parts.push(format!("{flash:?}").into_bytes());
@@ -308,6 +323,12 @@ impl Inputs {
     pub(super) fn gain(&self, pair: &PairRecord) -> FlashGain {
         self.flash.scale.gain(pair.flash.as_ref())
     }
+}
+
+/// A pair's name and the digests of all its frames.
+fn originals(pair: &PairRecord) -> String {
+    let further: String = pair.dark_frames().skip(1).map(|frame| format!(" {}", frame.blake3)).collect();
+    format!("{} {} {}{further}", pair.name, pair.off.blake3, pair.on.blake3)
 }
 
 fn solve_and_write(
@@ -351,5 +372,27 @@ fn no_pairs(left_out: &[LeftOut], scene: &Scene) -> String {
             first.why,
             cameras.join(", ")
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_frame_that_goes_in_is_among_the_inputs() {
+        let frame = |digest: &str| {
+            serde_json::json!({
+                "file": "a", "original_name": "a", "bytes": 1, "blake3": digest, "settings": {}
+            })
+        };
+        let mut pair = serde_json::json!({
+            "number": 1, "name": "0001", "verdict": "accepted", "reasons": [], "off": frame("a"), "on": frame("b")
+        });
+        let of = |pair: &serde_json::Value| originals(&serde_json::from_value(pair.clone()).unwrap());
+        assert_eq!(of(&pair), "0001 a b", "a plain pair's inputs are what they were");
+        pair["more_off"] = serde_json::json!([frame("c")]);
+        pair["after"] = serde_json::json!([frame("d"), frame("e")]);
+        assert_eq!(of(&pair), "0001 a b c d e");
     }
 }

@@ -7,7 +7,7 @@
 use crate::codec::raw::{self, Photo, RawError};
 use crate::photometry::saturation::{self, Entry, NotBlown, SaturationTable};
 use crate::progress::{Cancelled, Progress};
-use crate::session::{Session, store};
+use crate::session::{Session, SessionError};
 use std::path::{Path, PathBuf};
 
 /// Why a saturation table could not be read, measured or kept.
@@ -49,6 +49,9 @@ pub enum SaturationError {
         /// What is missing.
         setting: &'static str,
     },
+    /// The session refused.
+    #[error(transparent)]
+    Session(#[from] SessionError),
     /// Stopped on request.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
@@ -120,7 +123,7 @@ pub fn calibrate(
     let path = file(session);
     let bytes = serde_json::to_vec_pretty(&table)
         .map_err(|source| SaturationError::Damaged { path: path.clone(), source })?;
-    store::write_atomic(&path, &bytes).map_err(|source| SaturationError::Io { path, source })?;
+    session.keep(&path, &bytes)?;
     progress.report("measuring saturation", frames.len(), frames.len());
     Ok(measured.entries)
 }

@@ -13,7 +13,7 @@ use crate::codec::asset::AssetError;
 use crate::progress::{Cancelled, Progress};
 use crate::scene::import::{self, ImportError, ImportedCameras};
 use crate::scene::{Camera, Mesh, Scene, read_obj};
-use crate::session::{Session, store};
+use crate::session::{Session, SessionError, store};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -64,6 +64,9 @@ pub enum SceneError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// The session refused.
+    #[error(transparent)]
+    Session(#[from] SessionError),
     /// Stopped on request.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
@@ -213,7 +216,7 @@ pub fn import(
     let path = folder.join("scene.json");
     let json = serde_json::to_vec_pretty(&file)
         .map_err(|e| SceneError::Damaged { path: path.clone(), reason: e.to_string() })?;
-    store::write_atomic(&path, &json).map_err(io("write", &path))?;
+    session.keep(&path, &json)?;
     progress.report("writing the scene", steps, steps);
     Ok(file)
 }

@@ -1,7 +1,7 @@
 //! What a session remembers of its pairs, so that later ones can be held against them.
 //!
 //! Signatures of the stops lie in `derived/stops/NNNN.json`, each with the digests of the two files it was made
-//! from; one that is missing or stale is made again by decoding. Digests of all frames tell a frame that was
+//! from, the first frame without flash and the lit one (a number has one accepted attempt at the most); one that is missing or stale is made again by decoding. Digests of all frames tell a frame that was
 //! delivered twice, the controller's counts a pulse that was weaker than usual.
 
 use crate::codec::raw;
@@ -66,7 +66,7 @@ impl Earlier {
     /// Remembers all pairs of a session; signatures that are missing are made from the originals and kept.
     pub fn load(session: &Session, progress: &Progress) -> Result<Self, EarlierError> {
         let mut earlier = Self { folder: folder(session), ..Self::default() };
-        let pairs = session.pairs()?;
+        let pairs: Vec<PairRecord> = session.attempts()?.into_values().flatten().collect();
         for (done, record) in pairs.iter().enumerate() {
             progress.check()?;
             progress.report("recalling earlier pairs", done, pairs.len());
@@ -101,7 +101,8 @@ impl Earlier {
     }
 
     fn note(&mut self, record: &PairRecord, stop: Option<Stop>) {
-        for (frame, role) in [(&record.off, Role::Unlit), (&record.on, Role::Lit)] {
+        for (slot, frame) in record.frames() {
+            let role = if slot.part.is_lit() { Role::Lit } else { Role::Unlit };
             self.files.entry(frame.blake3.clone()).or_insert((role, record.number));
         }
         if record.verdict == Verdict::Accepted {
@@ -132,6 +133,7 @@ impl Earlier {
             files: Some(Files {
                 off,
                 on,
+                more: &[],
                 earlier: &self.files,
                 may_share_unlit: delivery == Delivery::Files,
             }),
@@ -203,7 +205,7 @@ fn write(session: &Session, record: &PairRecord, stop: &Option<Stop>) -> Result<
 /// The signature out of a pair's originals.
 fn remade(session: &Session, record: &PairRecord) -> Option<Stop> {
     // Saturation matters to nothing in a signature.
-    let read = |name: &str| raw::read(&session.pair_dir(record.number).join(name));
+    let read = |name: &str| raw::read(&session.pair_dir(record).join(name));
     let (off, on) = rayon::join(|| read(&record.off.file), || read(&record.on.file));
     match (off, on) {
         (Ok(off), Ok(on)) => {

@@ -9,6 +9,6 @@ mod traits;
 pub mod usb;
 
 pub use traits::{
-    Camera, CameraError, CameraInfo, Flash, FlashError, FlashStatus, LockItem, LockReport, LockState,
+    Camera, CameraError, CameraInfo, Closer, Flash, FlashError, FlashStatus, LockItem, LockReport, LockState,
     RECYCLE_PATIENCE, Shot, ShotFile, ShotTimes,
 };

@@ -3,6 +3,7 @@
 use crate::pair::{Dial, FlashSync, Offered, Settings};
 use crate::units::Seconds;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// A camera as it introduces itself.
@@ -372,6 +373,9 @@ fn remedy(code: u32) -> &'static str {
 /// How long whoever shoots waits for a flash to recycle.
 pub const RECYCLE_PATIENCE: Duration = Duration::from_secs(30);
 
+/// Closes a controller's gate from any thread, past whoever has the controller.
+pub type Closer = Arc<dyn Fn() -> Result<(), FlashError> + Send + Sync>;
+
 /// A flash controller between the camera's sync contact and the flash.
 pub trait Flash: Send {
     /// How it stands.
@@ -384,6 +388,11 @@ pub trait Flash: Send {
 
     /// Closes the gate. Dark frames are shot with the gate closed.
     fn disarm(&mut self) -> Result<(), FlashError>;
+
+    /// What closes the gate while somebody else has the controller; `None` where nothing can.
+    fn closer(&self) -> Option<Closer> {
+        None
+    }
 
     /// The syncs seen since the last call, waiting up to `patience` for the first.
     fn syncs(&mut self, patience: Duration) -> Result<Vec<FlashSync>, FlashError>;

@@ -1,6 +1,7 @@
 //! The scene: meshes and cameras in metres, one right-handed world, and the importers that bring them there.
 
 mod camera;
+pub mod export;
 pub mod import;
 mod mesh;
 mod mesh_file;

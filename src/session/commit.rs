@@ -1,7 +1,12 @@
-//! A pair enters the session: both originals byte for byte, `pair.json`, all or nothing.
+//! A pair enters the session: all originals byte for byte, `pair.json`, all or nothing. What is there is never
+//! overwritten: a rejected pair that is shot again gets a folder of its own beside the first.
 
-use super::{Event, JOURNAL, Numbering, PAIR_RECORD, Session, SessionError, journal, room, store, to_json};
-use crate::pair::{CompanionRecord, FlashRecord, FrameRecord, PairRecord, Reason, Settings, Verdict};
+use super::sidecars::sidecars;
+use super::{Event, Numbering, PAIR_RECORD, Session, SessionError, digests, room, store, to_json};
+use crate::pair::order::{Part, Program, Slot};
+use crate::pair::{
+    Attempt, CompanionRecord, Drift, FlashRecord, FrameRecord, PairRecord, Reason, Settings, Verdict,
+};
 use std::path::{Path, PathBuf};
 
 /// One original file of a new pair.
@@ -68,6 +73,54 @@ pub struct NewPair<'a> {
     pub reasons: Vec<Reason>,
     /// The flash controller's account, if there is one.
     pub flash: Option<FlashRecord>,
+    /// What a pair that is no more than one frame of each has none of.
+    pub more: More<'a>,
+}
+
+/// What a pair may have beside its two frames.
+#[derive(Clone, Debug, Default)]
+pub struct More<'a> {
+    /// The frames that it was to have, and their order.
+    pub program: Program,
+    /// Further frames without flash, in the order of their slots.
+    pub off: Vec<NewFrame<'a>>,
+    /// Frames without flash after the lit one.
+    pub after: Vec<NewFrame<'a>>,
+    /// How room and tripod drifted meanwhile.
+    pub drift: Option<Drift>,
+    /// The rejected pair in whose stead this one was shot.
+    pub again: Option<u32>,
+}
+
+impl<'a> NewPair<'a> {
+    /// All frames, in the order in which a record tells them.
+    fn frames(&self) -> impl Iterator<Item = &NewFrame<'a>> {
+        let one = std::iter::once;
+        one(&self.off).chain(&self.more.off).chain(one(&self.on)).chain(&self.more.after)
+    }
+
+    /// What will be told of it.
+    fn record(&self, own: Attempt, name: String) -> PairRecord {
+        let row = |part: Part, from: u8, frames: &[NewFrame]| -> Vec<FrameRecord> {
+            let slots = (from..).map(|index| Slot { part, index });
+            frames.iter().zip(slots).map(|(frame, slot)| frame_record(&slot.to_string(), frame)).collect()
+        };
+        PairRecord {
+            number: own.number,
+            attempt: own.attempt,
+            name,
+            verdict: if self.reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected },
+            reasons: self.reasons.clone(),
+            order: self.more.program.order(),
+            off_frames: self.more.program.off_frames(),
+            off: frame_record("off", &self.off),
+            more_off: row(Part::Off, 2, &self.more.off),
+            on: frame_record("on", &self.on),
+            after: row(Part::After, 1, &self.more.after),
+            drift: self.more.drift,
+            flash: self.flash.clone(),
+        }
+    }
 }
 
 /// What became of a pair.
@@ -91,58 +144,52 @@ impl Session {
         Stager { folder: self.pairs_dir() }
     }
 
-    /// Stores a pair; when this returns, it is on the disk. A name that is taken by the same two files
+    /// Stores a pair; when this returns, it is on the disk. A name that is taken by the same files
     /// changes nothing; taken by others, it is an error.
     pub fn commit_pair(&self, new: NewPair) -> Result<Commit, SessionError> {
+        if new.more.again.is_some() || new.more.program != Program::default() {
+            self.raise_schema()?;
+        }
         let mut numbering = self.numbering()?;
-        let (off_digest, on_digest) = (new.off.digest(), new.on.digest());
-        let (number, name) = match new.name {
-            Some(name) => (numbering.next, checked_name(name)?),
-            None => shot_name(&numbering),
+        let (own, name) = match (new.more.again, new.name) {
+            (Some(number), _) => self.again(&numbering, number)?,
+            (None, Some(name)) => (Attempt::first(numbering.next), checked_name(name)?),
+            (None, None) => shot_name(&numbering),
         };
-        if let Some((number, off, on)) = numbering.names.get(&name) {
-            let number = *number;
-            return if (off, on) == (&off_digest, &on_digest) {
-                Ok(Commit::AlreadyThere(self.pair(number)?))
-            } else {
-                Err(SessionError::DuplicateName { name, number })
+        let record = new.record(own, name);
+        if new.more.again.is_none()
+            && let Some(taken) = numbering.names.get(&record.name)
+        {
+            let (number, files) = (taken.number, digests(&record));
+            return match taken.files.iter().find(|(_, known)| *known == files) {
+                Some((attempt, _)) => {
+                    Ok(Commit::AlreadyThere(self.attempt(Attempt { number, attempt: *attempt })?))
+                }
+                None => Err(SessionError::DuplicateName { name: record.name, number }),
             };
         }
-        let off = record_of("off", &new.off, off_digest);
-        let on = record_of("on", &new.on, on_digest);
-        let record = PairRecord {
-            number,
-            name,
-            verdict: if new.reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected },
-            reasons: new.reasons,
-            off,
-            on,
-            flash: new.flash,
-        };
-
-        let own = (number, record.name.clone());
-        if numbering.intended.as_ref() != Some(&own) {
-            self.require_room_for(&numbering, Some(room::bytes_of(&record)))?;
-            let (number, name) = own;
-            self.append(&mut numbering, Event::PairIntended { number, name })?;
+        let intended = (own, record.name.clone());
+        if numbering.intended.as_ref() != Some(&intended) {
+            self.require_room_for(&numbering, room::Wanted::Bytes(room::bytes_of(&record)))?;
+            self.append(&mut numbering, intent(own, &record.name))?;
         }
         numbering.intended = None;
-        let (name, verdict) = (record.name.clone(), record.verdict);
-        match self.write_pair(&record, [&new.off, &new.on]) {
+        let (Attempt { number, attempt }, name, verdict) = (own, record.name.clone(), record.verdict);
+        match self.write_pair(&record, &new) {
             // The pair is there, and its folder says so; the journal hears of it as soon as it can be written.
             Ok(()) => {
                 numbering.take(&record);
-                self.append_or_owe(&mut numbering, Event::PairCommitted { number, name, verdict });
+                self.append_or_owe(&mut numbering, Event::PairCommitted { number, attempt, name, verdict });
                 Ok(Commit::Stored(record))
             }
             // It has its place, but the disk failed afterwards: its number is spent, and the next opening settles it.
-            Err(error) if self.pair_dir(number).exists() => {
+            Err(error) if self.pair_dir(own).exists() => {
                 numbering.take(&record);
                 Err(error)
             }
             Err(error) => {
                 let why = error.to_string();
-                self.append_or_owe(&mut numbering, Event::PairAbandoned { number, name, why });
+                self.append_or_owe(&mut numbering, Event::PairAbandoned { number, attempt, name, why });
                 Err(error)
             }
         }
@@ -151,29 +198,57 @@ impl Session {
     /// Writes to the journal that the next pair is about to be shot, and gives its number. Refuses where there is no
     /// room for it.
     pub fn intend_pair(&self) -> Result<u32, SessionError> {
+        Ok(self.intend(None, Program::default())?.number)
+    }
+
+    /// The same for the frames of a program, and with `again` for the rejected pair of this number. Spends no new
+    /// number then.
+    pub fn intend(&self, again: Option<u32>, program: Program) -> Result<Attempt, SessionError> {
         let mut numbering = self.numbering()?;
-        let (number, name) = shot_name(&numbering);
-        self.require_room_for(&numbering, None)?;
-        self.append(&mut numbering, Event::PairIntended { number, name: name.clone() })?;
-        numbering.intended = Some((number, name));
-        Ok(number)
+        let (own, name) = match again {
+            Some(number) => self.again(&numbering, number)?,
+            None => shot_name(&numbering),
+        };
+        self.require_room_for(&numbering, room::Wanted::Frames(program.slots().len() as u64))?;
+        self.append(&mut numbering, intent(own, &name))?;
+        numbering.intended = Some((own, name));
+        Ok(own)
     }
 
     /// Writes to the journal that nothing was stored of the pair that was intended, and why; if none was, or storing it
     /// has failed and was written down, nothing.
     pub fn abandon_pair(&self, why: &str) -> Result<(), SessionError> {
         let mut numbering = self.numbering()?;
-        let Some((number, name)) = numbering.intended.take() else { return Ok(()) };
-        journal::append(&self.path.join(JOURNAL), Event::PairAbandoned { number, name, why: why.to_owned() })
+        let Some((Attempt { number, attempt }, name)) = numbering.intended.take() else { return Ok(()) };
+        let why = why.to_owned();
+        self.append(&mut numbering, Event::PairAbandoned { number, attempt, name, why })
+    }
+
+    /// The next attempt at a pair that was rejected, and its name.
+    fn again(&self, numbering: &Numbering, number: u32) -> Result<(Attempt, String), SessionError> {
+        let taken = numbering.names.iter().find(|(_, taken)| taken.number == number);
+        let (name, taken) =
+            taken.ok_or_else(|| SessionError::NoSuchPair { path: self.path.clone(), number })?;
+        if taken.accepted {
+            return Err(SessionError::PairAccepted { number });
+        }
+        Ok((Attempt { number, attempt: taken.attempts.saturating_add(1) }, name.clone()))
+    }
+
+    /// Whether the pair of this number may be shot again: it is there, and it was rejected. Gives its record.
+    pub fn rejected_pair(&self, number: u32) -> Result<PairRecord, SessionError> {
+        let numbering = self.numbering()?;
+        self.again(&numbering, number)?;
+        self.pair(number)
     }
 
     /// Fills a folder under a temporary name, then gives it its own. A folder of that name, should there be
     /// one, is not overwritten: the rename fails.
-    fn write_pair(&self, record: &PairRecord, frames: [&NewFrame; 2]) -> Result<(), SessionError> {
+    fn write_pair(&self, record: &PairRecord, new: &NewPair) -> Result<(), SessionError> {
         let pairs = self.pairs_dir();
         let aside = store::temporary_path(&pairs);
         std::fs::create_dir(&aside).map_err(SessionError::io(&aside))?;
-        let written = self.fill_and_name(record, frames, &aside);
+        let written = self.fill_and_name(record, new, &aside);
         if written.is_err() {
             // On a full disk it would only take room; the first error is the one to tell.
             let _ = std::fs::remove_dir_all(&aside);
@@ -181,16 +256,11 @@ impl Session {
         written
     }
 
-    fn fill_and_name(
-        &self,
-        record: &PairRecord,
-        frames: [&NewFrame; 2],
-        aside: &Path,
-    ) -> Result<(), SessionError> {
+    fn fill_and_name(&self, record: &PairRecord, new: &NewPair, aside: &Path) -> Result<(), SessionError> {
         let pairs = self.pairs_dir();
-        let json = to_json(&self.pair_dir(record.number).join(PAIR_RECORD), record)?;
+        let json = to_json(&self.pair_dir(record).join(PAIR_RECORD), record)?;
         let mut files = vec![(PAIR_RECORD, json.as_slice())];
-        for (record, frame) in [&record.off, &record.on].into_iter().zip(frames) {
+        for ((_, record), frame) in record.frames().zip(new.frames()) {
             let own = frame_files(record, frame);
             match frame.prepared.as_ref().and_then(|prepared| prepared.staged) {
                 Some(Staged(staged)) => {
@@ -201,21 +271,27 @@ impl Session {
                 None => files.extend(own),
             }
         }
+        let sidecars = sidecars(record);
+        files.extend(sidecars.iter().map(|(name, text)| (name.as_str(), text.as_bytes())));
         for (name, bytes) in files {
             let file = aside.join(name);
             store::write_synced(&file, bytes).map_err(SessionError::io(&file))?;
         }
         store::sync_folder(aside).map_err(SessionError::io(aside))?;
-        let own = self.pair_dir(record.number);
+        let own = self.pair_dir(record);
         std::fs::rename(aside, &own).map_err(SessionError::io(&own))?;
         store::sync_folder(&pairs).map_err(SessionError::io(&pairs))
     }
 }
 
+fn intent(Attempt { number, attempt }: Attempt, name: &str) -> Event {
+    Event::PairIntended { number, attempt, name: name.to_owned() }
+}
+
 /// Number and name of the next pair that is shot.
-fn shot_name(numbering: &Numbering) -> (u32, String) {
+fn shot_name(numbering: &Numbering) -> (Attempt, String) {
     let number = numbering.next_shot();
-    (number, format!("{number:04}"))
+    (Attempt::first(number), format!("{number:04}"))
 }
 
 /// The name under which a session keeps an original: its role, and the extension that it had.
@@ -227,7 +303,19 @@ pub fn original_file_name(role: &str, original_name: &str) -> String {
 
 /// The record of a frame that is about to be written.
 pub fn frame_record(role: &str, frame: &NewFrame) -> FrameRecord {
-    record_of(role, frame, frame.digest())
+    FrameRecord {
+        file: original_file_name(role, frame.original_name),
+        original_name: frame.original_name.to_owned(),
+        bytes: frame.bytes.len() as u64,
+        blake3: frame.digest(),
+        settings: frame.settings.clone(),
+        jpeg: frame.jpeg.map(|(bytes, name)| CompanionRecord {
+            file: format!("{role}.jpg"),
+            original_name: name.to_owned(),
+            bytes: bytes.len() as u64,
+            blake3: store::digest(bytes),
+        }),
+    }
 }
 
 /// File names and contents of a frame: the raw first, then the JPEG where there is one.
@@ -237,22 +325,6 @@ pub fn frame_files<'a>(record: &'a FrameRecord, frame: &NewFrame<'a>) -> Vec<(&'
         files.push((jpeg.file.as_str(), bytes));
     }
     files
-}
-
-fn record_of(role: &str, frame: &NewFrame, blake3: String) -> FrameRecord {
-    FrameRecord {
-        file: original_file_name(role, frame.original_name),
-        original_name: frame.original_name.to_owned(),
-        bytes: frame.bytes.len() as u64,
-        blake3,
-        settings: frame.settings.clone(),
-        jpeg: frame.jpeg.map(|(bytes, name)| CompanionRecord {
-            file: format!("{role}.jpg"),
-            original_name: name.to_owned(),
-            bytes: bytes.len() as u64,
-            blake3: store::digest(bytes),
-        }),
-    }
 }
 
 /// Names become file names in `derived/` and elsewhere.

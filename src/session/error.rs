@@ -1,5 +1,6 @@
 //! What can go wrong with a session folder.
 
+use super::Holder;
 use std::path::{Path, PathBuf};
 
 /// Why a session could not be made, opened, read or added to.
@@ -27,9 +28,30 @@ pub enum SessionError {
         path: PathBuf,
     },
     /// Another program works with the session.
-    #[error("session {path} is in use by another program; close the other `unlit` first")]
+    #[error("session {path} is in use by {}", in_use(holder.as_deref()))]
     Locked {
         /// The session.
+        path: PathBuf,
+        /// Who has it; `None` when nobody says so, as readers do not.
+        holder: Option<Box<Holder>>,
+    },
+    /// Another daemon has the folder of sessions.
+    #[error(
+        "the sessions folder {path} is in use by {}, or give this one a folder of its own with --sessions",
+        in_use(holder.as_deref())
+    )]
+    FolderLocked {
+        /// The folder.
+        path: PathBuf,
+        /// Who has it, if that is known.
+        holder: Option<Box<Holder>>,
+    },
+    /// A second copy in the same place.
+    #[error(
+        "the mirror {path} lies inside the sessions folder: a second copy belongs on another disk, give a folder there"
+    )]
+    MirrorInside {
+        /// The mirror.
         path: PathBuf,
     },
     /// The session was opened for reading.
@@ -81,6 +103,22 @@ pub enum SessionError {
         /// The pair that has it.
         number: u32,
     },
+    /// No such pair.
+    #[error("session {path} has no pair {number}; only a pair that is there can be shot again")]
+    NoSuchPair {
+        /// The session.
+        path: PathBuf,
+        /// The pair.
+        number: u32,
+    },
+    /// A pair that is good.
+    #[error(
+        "pair {number} was accepted, and only a rejected pair can be shot again under its number; take a new pair from the same stop instead"
+    )]
+    PairAccepted {
+        /// The pair.
+        number: u32,
+    },
     /// The pair's name cannot name a file.
     #[error("{name:?} cannot name a pair: 1 to 200 bytes, no slash, not beginning with a dot")]
     BadName {
@@ -94,5 +132,13 @@ impl SessionError {
     pub(super) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> SessionError + use<> {
         let path = path.to_owned();
         move |source| SessionError::Io { path, source }
+    }
+}
+
+/// Who it is, and what to do.
+fn in_use(holder: Option<&Holder>) -> String {
+    match holder {
+        Some(holder) => format!("{holder}; work through that one, or end it first"),
+        None => "another program; close the other `unlit` first".into(),
     }
 }

@@ -2,12 +2,9 @@
 //!
 //! The journal tells what was meant and what came of it; the folders alone say what is there.
 
-use super::SessionError;
-use super::store;
+use super::{SessionError, lines};
 use crate::pair::Verdict;
 use serde::{Deserialize, Serialize};
-use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -21,6 +18,9 @@ pub enum Event {
     PairIntended {
         /// Its number.
         number: u32,
+        /// Which time it is shot, from 1.
+        #[serde(default = "first", skip_serializing_if = "is_first")]
+        attempt: u32,
         /// Its name.
         name: String,
     },
@@ -28,6 +28,9 @@ pub enum Event {
     PairCommitted {
         /// Its number.
         number: u32,
+        /// Which time it is shot, from 1.
+        #[serde(default = "first", skip_serializing_if = "is_first")]
+        attempt: u32,
         /// Its name.
         name: String,
         /// What the checks said.
@@ -37,6 +40,9 @@ pub enum Event {
     PairAbandoned {
         /// Its number; the next pair has it.
         number: u32,
+        /// Which time it is shot, from 1.
+        #[serde(default = "first", skip_serializing_if = "is_first")]
+        attempt: u32,
         /// Its name.
         name: String,
         /// Why.
@@ -46,6 +52,9 @@ pub enum Event {
     PairInterrupted {
         /// Its number; the next pair has it.
         number: u32,
+        /// Which time it is shot, from 1.
+        #[serde(default = "first", skip_serializing_if = "is_first")]
+        attempt: u32,
         /// Its name.
         name: String,
     },
@@ -56,6 +65,14 @@ pub enum Event {
         /// Whatever belongs to it.
         detail: serde_json::Value,
     },
+}
+
+fn first() -> u32 {
+    1
+}
+
+fn is_first(attempt: &u32) -> bool {
+    *attempt == 1
 }
 
 /// An event with its time.
@@ -72,54 +89,23 @@ pub struct Entry {
 pub(super) fn append(path: &Path, event: Event) -> Result<(), SessionError> {
     let line = serde_json::to_string(&Entry { at: now(), event })
         .map_err(|e| SessionError::Damaged { path: path.to_owned(), why: e.to_string() })?;
-    if !ends_whole(path).map_err(SessionError::io(path))? {
-        mend_tail(path)?;
-    }
-    store::append_line_synced(path, &line).map_err(SessionError::io(path))
-}
-
-/// Whether the last line has its newline.
-fn ends_whole(path: &Path) -> std::io::Result<bool> {
-    let mut file = match File::open(path) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(true),
-        other => other?,
-    };
-    let mut last = [b'\n'];
-    if file.metadata()?.len() > 0 {
-        file.seek(SeekFrom::End(-1))?;
-        file.read_exact(&mut last)?;
-    }
-    Ok(last == [b'\n'])
+    lines::append_synced(path, &line).map_err(SessionError::io(path))
 }
 
 /// All entries, oldest first. A last line without its newline was never acknowledged and does not count.
 pub(super) fn read(path: &Path) -> Result<Vec<Entry>, SessionError> {
-    let text = match std::fs::read_to_string(path) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
-        other => other.map_err(SessionError::io(path))?,
-    };
-    let whole = &text[..text.rfind('\n').map_or(0, |end| end + 1)];
     let parse = |(i, line): (usize, &str)| {
         serde_json::from_str(line).map_err(|e| SessionError::Damaged {
             path: path.to_owned(),
             why: format!("line {} is no journal entry ({e})", i + 1),
         })
     };
-    whole.lines().enumerate().map(parse).collect()
+    lines::read(path).map_err(SessionError::io(path))?.lines().enumerate().map(parse).collect()
 }
 
 /// Cuts off a last line that a crash left without its newline, and says how many bytes it had.
 pub(super) fn mend_tail(path: &Path) -> Result<u64, SessionError> {
-    let bytes = match std::fs::read(path) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(0),
-        other => other.map_err(SessionError::io(path))?,
-    };
-    let whole = bytes.iter().rposition(|&b| b == b'\n').map_or(0, |end| end + 1);
-    if whole < bytes.len() {
-        let file = std::fs::OpenOptions::new().write(true).open(path).map_err(SessionError::io(path))?;
-        file.set_len(whole as u64).and_then(|()| file.sync_all()).map_err(SessionError::io(path))?;
-    }
-    Ok((bytes.len() - whole) as u64)
+    lines::mend_tail(path).map_err(SessionError::io(path))
 }
 
 /// The present moment, UTC.
@@ -168,7 +154,7 @@ mod tests {
         assert_eq!(read(&path).unwrap().len(), 2, "a line does not grow out of what is left of another");
         std::fs::write(&path, &torn).unwrap();
         assert_eq!((mend_tail(&path).unwrap(), mend_tail(&path).unwrap()), (11, 0));
-        append(&path, Event::PairIntended { number: 1, name: "0001".into() }).unwrap();
+        append(&path, Event::PairIntended { number: 1, attempt: 1, name: "0001".into() }).unwrap();
         assert_eq!(read(&path).unwrap().len(), 2);
     }
 }

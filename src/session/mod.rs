@@ -1,37 +1,56 @@
 //! The session folder: layout, journal, atomic writes, checksums, lock.
 //!
 //! A photographer can read it without us: `pairs/NNNN/{off,on}.EXT` are the camera's own files, never
-//! altered, `pair.json` beside them says what they are. A pair's folder gets its final name only when
+//! altered, `pair.json` beside them says what they are. A rejected pair that was shot again lies beside itself, in
+//! `pairs/NNNN-2` and so on. A pair's folder gets its final name only when
 //! everything in it is on the disk, so that killing the program at any moment loses nothing that was
 //! acknowledged and leaves nothing half-done under a name that counts. One program at a time may write
 //! (`.lock`, held as long as the [`Session`] lives); several may read together.
 
+mod attempts;
 mod commit;
 mod error;
+mod files;
 mod journal;
+mod kept;
+pub mod lines;
+mod lock;
+mod mirror;
+mod records;
 mod recovery;
 mod room;
+mod sequence;
+mod shots;
+mod sidecars;
 pub mod store;
 mod verify;
 
 pub use commit::{
-    Commit, NewFrame, NewPair, Prepared, Staged, Stager, frame_files, frame_record, original_file_name,
+    Commit, More, NewFrame, NewPair, Prepared, Staged, Stager, frame_files, frame_record, original_file_name,
 };
 pub use error::SessionError;
+pub use files::{FileKind, SessionFile, file_id};
 pub use journal::{Entry, Event, now as utc_now};
+pub use lock::{Holder, Lock};
+pub use mirror::{MirrorPatience, MirrorState, MirrorStatus};
+pub use records::Records;
 pub use recovery::{Interrupted, Recovery};
 pub use room::Room;
-pub use verify::{Damage, Finding, SHOT_STORED, Verification};
+pub use sequence::{
+    Between, MOST_POSITIONS, PositionRecord, SEQUENCE_SCHEMA, SequencePlan, SequenceRecord, Stage, UnderWay,
+};
+pub use shots::{InterruptedShot, SHOT_ABANDONED, SHOT_INTERRUPTED, SHOT_STARTED, SHOT_STORED};
+pub use verify::{Damage, Finding, Verification};
 
-use crate::pair::{PairRecord, Plan, Window};
+use crate::pair::{Attempt, PairRecord, Plan, Verdict, Window};
+use lock::Access;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
-use std::fs::{File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
-/// The layout that this program writes.
-pub const SCHEMA: u32 = 2;
+/// The layout that this program writes; 3 knows orders of frames and pairs that were shot again, and reads 2 as it is.
+pub const SCHEMA: u32 = 3;
 
 const MANIFEST: &str = "session.json";
 const JOURNAL: &str = "journal.jsonl";
@@ -70,22 +89,45 @@ pub struct Session {
     numbering: Option<Mutex<Numbering>>,
     /// What opening it put right.
     recovery: Recovery,
-    /// Held, never read: the lock lives as long as the file is open.
-    _lock: File,
+    /// Pairs' records as last read.
+    records: Records,
+    /// The second copy, if there is one.
+    mirror: OnceLock<mirror::Mirror>,
+    /// The lock lives as long as the file is open.
+    lock: Lock,
 }
 
 /// Numbers and names that are taken.
 #[derive(Debug, Default)]
 struct Numbering {
     next: u32,
-    /// By name: number and digests (off, on).
-    names: HashMap<String, (u32, String, String)>,
-    /// Bytes of the largest pair.
+    /// By name.
+    names: HashMap<String, Taken>,
+    /// Bytes of the largest frame.
     largest: u64,
+    /// Bytes of the largest pair.
+    largest_pair: u64,
     /// The pair that the journal says is about to be shot or stored.
-    intended: Option<(u32, String)>,
+    intended: Option<(Attempt, String)>,
     /// What the journal must still hear: it could not be written when it happened.
     owed: Option<Event>,
+}
+
+/// What has been stored under a name.
+#[derive(Debug)]
+struct Taken {
+    number: u32,
+    /// The last of its attempts, whether its folder is still there or not.
+    attempts: u32,
+    /// Whether any of them was accepted.
+    accepted: bool,
+    /// Digests of all frames, by attempt.
+    files: Vec<(u32, Vec<String>)>,
+}
+
+/// Digests of a pair's frames.
+fn digests(record: &PairRecord) -> Vec<String> {
+    record.frames().map(|(_, frame)| frame.blake3.clone()).collect()
 }
 
 impl Numbering {
@@ -98,16 +140,16 @@ impl Numbering {
     /// Takes in a pair that is on the disk.
     fn take(&mut self, record: &PairRecord) {
         self.next = self.next.max(record.number.saturating_add(1));
-        self.largest = self.largest.max(room::bytes_of(record));
-        let digests = (record.number, record.off.blake3.clone(), record.on.blake3.clone());
-        self.names.insert(record.name.clone(), digests);
+        self.largest = self.largest.max(room::largest_frame(record));
+        self.largest_pair = self.largest_pair.max(room::bytes_of(record));
+        let number = record.number;
+        let taken = self.names.entry(record.name.clone());
+        let taken =
+            taken.or_insert_with(|| Taken { number, attempts: 0, accepted: false, files: Vec::new() });
+        taken.attempts = taken.attempts.max(record.attempt);
+        taken.accepted |= record.verdict == Verdict::Accepted;
+        taken.files.push((record.attempt, digests(record)));
     }
-}
-
-#[derive(Clone, Copy, PartialEq)]
-enum Access {
-    Alone,
-    Shared,
 }
 
 impl Session {
@@ -127,7 +169,7 @@ impl Session {
                 return Err(SessionError::NotEmpty { path: path.to_owned() });
             }
         }
-        let lock = take_lock(path, Access::Alone)?;
+        let lock = Lock::of_session(path, Access::Alone)?;
         for folder in FOLDERS.map(|f| path.join(f)) {
             std::fs::create_dir_all(&folder).map_err(SessionError::io(&folder))?;
         }
@@ -153,18 +195,19 @@ impl Session {
     /// [`Session::recovery`].
     pub fn open(path: &Path) -> Result<Session, SessionError> {
         require_manifest(path)?;
-        let lock = take_lock(path, Access::Alone)?;
+        let lock = Lock::of_session(path, Access::Alone)?;
         Self::load(path, lock, Access::Alone)
     }
 
-    /// Opens a session for reading, together with other readers.
+    /// Opens a session for reading, together with other readers. Nothing is put right; [`Session::recovery`] names the
+    /// pairs that were interrupted.
     pub fn open_shared(path: &Path) -> Result<Session, SessionError> {
         require_manifest(path)?;
-        let lock = take_lock(path, Access::Shared)?;
+        let lock = Lock::of_session(path, Access::Shared)?;
         Self::load(path, lock, Access::Shared)
     }
 
-    fn load(path: &Path, lock: File, access: Access) -> Result<Session, SessionError> {
+    fn load(path: &Path, lock: Lock, access: Access) -> Result<Session, SessionError> {
         let file = path.join(MANIFEST);
         let manifest: Manifest = from_json(&file)?;
         if manifest.schema > SCHEMA {
@@ -176,13 +219,22 @@ impl Session {
             manifest: Mutex::new(manifest),
             numbering: None,
             recovery: Recovery::default(),
-            _lock: lock,
+            records: Records::default(),
+            mirror: OnceLock::new(),
+            lock,
         };
-        if access == Access::Alone {
+        if access == Access::Shared {
+            // A journal that cannot be read keeps nobody from the pairs; verifying names it.
+            session.recovery = session.interruptions().unwrap_or_default();
+        } else {
             // Pairs that cannot be read are told before anything is called settled.
             let mut numbering = session.count()?;
             session.recovery = session.recover(&mut numbering)?;
             session.numbering = Some(Mutex::new(numbering));
+            if let Err(error) = session.settle_sequence() {
+                // Whoever asks for the sequence is told; it keeps nobody from the pairs.
+                tracing::error!("the sequence could not be settled: {error}");
+            }
         }
         Ok(session)
     }
@@ -191,13 +243,29 @@ impl Session {
     /// used again, not even when its folder was moved away.
     fn count(&self) -> Result<Numbering, SessionError> {
         let mut numbering = Numbering { next: 1, ..Numbering::default() };
-        self.pairs()?.iter().for_each(|record| numbering.take(record));
+        self.attempts()?.values().flatten().for_each(|record| numbering.take(record));
         for entry in self.journal()? {
-            if let Event::PairCommitted { number, .. } = entry.event {
+            if let Event::PairCommitted { number, attempt, name, .. } = entry.event {
                 numbering.next = numbering.next.max(number.saturating_add(1));
+                if let Some(taken) = numbering.names.get_mut(&name) {
+                    taken.attempts = taken.attempts.max(attempt);
+                }
             }
         }
         Ok(numbering)
+    }
+
+    /// A session open for reading whose lock is given back: for a look that takes time, keeps nobody from writing, and
+    /// may be out of date at once.
+    pub fn unlocked(self) -> Result<Session, SessionError> {
+        self.lock.release().map_err(SessionError::io(&self.path.join(LOCK)))?;
+        Ok(Session { numbering: None, ..self })
+    }
+
+    /// The session, remembering with `records` what was read of its pairs before.
+    pub fn remembering(mut self, records: &Records) -> Session {
+        self.records = records.clone();
+        self
     }
 
     /// What opening the session put right.
@@ -232,8 +300,14 @@ impl Session {
             let file = self.path.join(MANIFEST);
             store::write_atomic(&file, &to_json(&file, &changed)?).map_err(SessionError::io(&file))?;
             *manifest = changed;
+            self.wake_mirror(0);
         }
         Ok(())
+    }
+
+    /// Says in `session.json` that what follows is more than programs of before know of.
+    fn raise_schema(&self) -> Result<(), SessionError> {
+        self.amend(|manifest| manifest.schema = manifest.schema.max(SCHEMA))
     }
 
     /// Sets the exposures at which pairs are shot from now on.
@@ -260,9 +334,9 @@ impl Session {
         self.path.join("pairs")
     }
 
-    /// `pairs/NNNN`.
-    pub fn pair_dir(&self, number: u32) -> PathBuf {
-        self.pairs_dir().join(format!("{number:04}"))
+    /// `pairs/NNNN`, or `pairs/NNNN-2` and so on: the folder of a record; of a number alone, that of its first attempt.
+    pub fn pair_dir(&self, attempt: impl Into<Attempt>) -> PathBuf {
+        self.pairs_dir().join(attempt.into().to_string())
     }
 
     /// `calibration/`: shots and fitted results.
@@ -290,29 +364,6 @@ impl Session {
         Ok(self.numbering()?.next_shot())
     }
 
-    /// All pairs, ascending by number. A pair whose record is damaged is an error that names it.
-    pub fn pairs(&self) -> Result<Vec<PairRecord>, SessionError> {
-        let folder = self.pairs_dir();
-        let mut numbers = Vec::new();
-        for entry in std::fs::read_dir(&folder).map_err(SessionError::io(&folder))? {
-            let name = entry.map_err(SessionError::io(&folder))?.file_name();
-            numbers.extend(verify::number_of(&name.to_string_lossy()));
-        }
-        numbers.sort_unstable();
-        numbers.into_iter().map(|number| self.pair(number)).collect()
-    }
-
-    /// One pair's record.
-    pub fn pair(&self, number: u32) -> Result<PairRecord, SessionError> {
-        let file = self.pair_dir(number).join(PAIR_RECORD);
-        let record: PairRecord = from_json(&file)?;
-        if record.number != number {
-            let why = format!("it says that it is pair {}, not {number}", record.number);
-            return Err(SessionError::Damaged { path: file, why });
-        }
-        Ok(record)
-    }
-
     /// The whole journal, oldest entry first.
     pub fn journal(&self) -> Result<Vec<Entry>, SessionError> {
         journal::read(&self.path.join(JOURNAL))
@@ -331,7 +382,16 @@ impl Session {
             journal::append(&file, owed)?;
             numbering.owed = None;
         }
-        journal::append(&file, event)
+        let items = usize::from(matches!(event, Event::PairCommitted { .. }));
+        journal::append(&file, event)?;
+        self.wake_mirror(items);
+        Ok(())
+    }
+
+    fn wake_mirror(&self, items: usize) {
+        if let Some(mirror) = self.mirror.get() {
+            mirror.wake(items);
+        }
     }
 
     /// The same of what has happened already, whatever the disk says: if it cannot be written now, it is owed.
@@ -349,27 +409,6 @@ fn require_manifest(path: &Path) -> Result<(), SessionError> {
         Ok(())
     } else {
         Err(SessionError::NotASession { path: path.to_owned() })
-    }
-}
-
-fn take_lock(path: &Path, access: Access) -> Result<File, SessionError> {
-    let file = path.join(LOCK);
-    let lock = match access {
-        Access::Alone => OpenOptions::new().create(true).append(true).open(&file),
-        // A reader may have no right to write; an older session may have no lock file yet.
-        Access::Shared => {
-            File::open(&file).or_else(|_| OpenOptions::new().create(true).append(true).open(&file))
-        }
-    }
-    .map_err(SessionError::io(&file))?;
-    let taken = match access {
-        Access::Alone => lock.try_lock(),
-        Access::Shared => lock.try_lock_shared(),
-    };
-    match taken {
-        Ok(()) => Ok(lock),
-        Err(TryLockError::WouldBlock) => Err(SessionError::Locked { path: path.to_owned() }),
-        Err(TryLockError::Error(source)) => Err(SessionError::Io { path: file, source }),
     }
 }
 

@@ -1,8 +1,9 @@
 //! How many more pairs the disk takes.
 
 use super::{Numbering, Session, SessionError};
-use crate::pair::PairRecord;
+use crate::pair::{FrameRecord, PairRecord};
 use serde::{Deserialize, Serialize};
+use std::path::Path;
 
 /// Bytes that stay free for the journal and for what other programs do meanwhile.
 const RESERVE: u64 = 64 << 20;
@@ -17,6 +18,12 @@ pub struct Room {
 }
 
 impl Room {
+    /// Room on the disk that `path` lies on, where no pair is known.
+    pub fn of_disk(path: &Path) -> Result<Room, SessionError> {
+        let disk = rustix::fs::statvfs(path).map_err(|e| SessionError::io(path)(e.into()))?;
+        Ok(Room { free: disk.f_bavail.saturating_mul(disk.f_frsize), largest_pair: 0 })
+    }
+
     /// How many more pairs as large as the largest so far fit; unknown before the first.
     pub fn pairs(&self) -> Option<u64> {
         self.free.saturating_sub(RESERVE).checked_div(self.largest_pair)
@@ -25,7 +32,24 @@ impl Room {
 
 /// Bytes of a pair's originals.
 pub(super) fn bytes_of(record: &PairRecord) -> u64 {
-    [&record.off, &record.on].map(|f| f.bytes + f.jpeg.as_ref().map_or(0, |jpeg| jpeg.bytes)).iter().sum()
+    record.frames().map(|(_, frame)| bytes_of_frame(frame)).sum()
+}
+
+/// Bytes of the largest of its frames.
+pub(super) fn largest_frame(record: &PairRecord) -> u64 {
+    record.frames().map(|(_, frame)| bytes_of_frame(frame)).max().unwrap_or(0)
+}
+
+fn bytes_of_frame(frame: &FrameRecord) -> u64 {
+    frame.bytes + frame.jpeg.as_ref().map_or(0, |jpeg| jpeg.bytes)
+}
+
+/// What there must be room for.
+pub(super) enum Wanted {
+    /// So many frames, each as large as the largest so far.
+    Frames(u64),
+    /// So many bytes.
+    Bytes(u64),
 }
 
 impl Session {
@@ -40,24 +64,30 @@ impl Session {
         Ok(Room { free: self.free()?, largest_pair })
     }
 
-    fn free(&self) -> Result<u64, SessionError> {
-        let disk = rustix::fs::statvfs(&self.path).map_err(|e| SessionError::io(&self.path)(e.into()))?;
-        Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+    /// Room for more pairs, told without reading a file or waiting for anybody; while a pair is being stored, the pairs are
+    /// not known.
+    pub fn room_at_a_glance(&self) -> Result<Room, SessionError> {
+        let numbering = self.numbering.as_ref().and_then(|numbering| numbering.try_lock().ok());
+        Ok(Room { free: self.free()?, largest_pair: numbering.map_or(0, |numbering| numbering.largest_pair) })
     }
 
-    /// Refuses where there is no room for two frames more, as large as those of the largest pair so far.
+    fn free(&self) -> Result<u64, SessionError> {
+        Room::of_disk(&self.path).map(|room| room.free)
+    }
+
+    /// Refuses where there is no room for two frames more, as large as the largest so far.
     pub fn require_room(&self) -> Result<(), SessionError> {
         let numbering = self.numbering()?;
-        self.require_room_for(&numbering, None)
+        self.require_room_for(&numbering, Wanted::Frames(2))
     }
 
-    /// The same for a pair of `bytes`, if they are known.
-    pub(super) fn require_room_for(
-        &self,
-        numbering: &Numbering,
-        bytes: Option<u64>,
-    ) -> Result<(), SessionError> {
-        let (free, needed) = (self.free()?, bytes.unwrap_or(numbering.largest).saturating_add(RESERVE));
+    /// The same for what is wanted.
+    pub(super) fn require_room_for(&self, numbering: &Numbering, wanted: Wanted) -> Result<(), SessionError> {
+        let bytes = match wanted {
+            Wanted::Frames(frames) => numbering.largest.saturating_mul(frames),
+            Wanted::Bytes(bytes) => bytes,
+        };
+        let (free, needed) = (self.free()?, bytes.saturating_add(RESERVE));
         if free < needed {
             return Err(SessionError::NoRoom { path: self.path.clone(), free, needed });
         }

@@ -82,7 +82,7 @@ pub fn digest(bytes: &[u8]) -> String {
 }
 
 /// Removes everything under `folder` that a crash left under a temporary name, and says what that was.
-pub(super) fn remove_temporaries(folder: &Path) -> io::Result<Vec<PathBuf>> {
+pub(crate) fn remove_temporaries(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let mut removed = vec![];
     for entry in std::fs::read_dir(folder)? {
         let entry = entry?;

@@ -2,18 +2,17 @@
 //!
 //! Nothing is changed and nothing stops the check: a record that cannot be read is a finding like any other.
 
+mod kept;
+
+use super::shots::{self, SHOT_RECORD, SHOT_STORED};
+use super::sidecars::is_sidecar;
 use super::{Event, JOURNAL, PAIR_RECORD, Session, journal, store};
-use crate::pair::{FrameRecord, PairRecord};
+use crate::pair::{Attempt, FrameRecord, PairRecord};
 use crate::progress::{Cancelled, Progress};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-
-/// Name of the record beside a calibration shot's frames.
-const SHOT_RECORD: &str = "shot.json";
-
-/// What the journal's note of a stored card shot is called.
-pub const SHOT_STORED: &str = "calibration_shot_stored";
+use std::sync::PoisonError;
 
 /// What is wrong with a file or folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -43,13 +42,16 @@ pub struct Finding {
 /// What a check found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Verification {
-    /// Pairs that were looked at.
+    /// Pairs that were looked at; each attempt at one counts.
     pub pairs: usize,
     /// Calibration shots that were looked at.
     pub calibration_shots: usize,
     /// Originals that are as they were stored.
     pub originals: usize,
-    /// Their bytes.
+    /// Results of calibrations and files of the scene that are as they were stored.
+    #[serde(default)]
+    pub kept: usize,
+    /// Bytes of the originals.
     pub bytes: u64,
     /// What is not as it was stored, by path.
     pub findings: Vec<Finding>,
@@ -64,10 +66,12 @@ impl Verification {
 
 /// The frames of any record that has some.
 #[derive(Deserialize)]
-struct Frames {
-    off: FrameRecord,
-    on: FrameRecord,
+pub(super) struct Frames {
+    pub(super) off: FrameRecord,
+    pub(super) on: FrameRecord,
 }
+
+const READING: &str = "reading originals again";
 
 struct Check<'a> {
     session: &'a Session,
@@ -75,22 +79,35 @@ struct Check<'a> {
 }
 
 impl Session {
-    /// Reads every original again and compares it with its BLAKE3; compares folders and journal.
+    /// Reads every original again and compares it with its BLAKE3, and so results of calibrations and the scene; compares
+    /// folders and journal. Pairs may be stored meanwhile.
     pub fn verify(&self, progress: &Progress) -> Result<Verification, Cancelled> {
         let mut check = Check { session: self, found: Verification::default() };
-        let folders = check.folders(&self.pairs_dir());
+        let folders = {
+            // No pair gets its folder or its line in the journal in between.
+            let _still = self.numbering.as_ref().map(|n| n.lock().unwrap_or_else(PoisonError::into_inner));
+            check.folders(&self.pairs_dir())
+        };
         let shots = check.folders(&self.calibration_dir().join("flash"));
-        let all = folders.len() + shots.len();
+        // A journal that cannot be read is told below.
+        let kept = check.expected(super::kept::kept(&self.journal().unwrap_or_default()));
+        let all = folders.len() + shots.len() + kept.len();
         for (done, folder) in folders.iter().enumerate() {
             progress.check()?;
-            progress.report("reading originals again", done, all);
+            progress.report(READING, done, all);
             check.pair(folder);
         }
         for (done, folder) in shots.iter().enumerate() {
             progress.check()?;
-            progress.report("reading originals again", folders.len() + done, all);
+            progress.report(READING, folders.len() + done, all);
             check.shot(folder);
         }
+        for (done, file) in kept.iter().enumerate() {
+            progress.check()?;
+            progress.report(READING, folders.len() + shots.len() + done, all);
+            check.kept(file);
+        }
+        progress.report(READING, all, all);
         check.journal(&folders);
         check.found.findings.sort();
         Ok(check.found)
@@ -98,10 +115,10 @@ impl Session {
 }
 
 impl Session {
-    /// The same for one pair: what is not as it was stored.
-    pub fn verify_pair(&self, number: u32) -> Vec<Finding> {
+    /// The same for one attempt at a pair, the first if it is given by its number: what is not as it was stored.
+    pub fn verify_pair(&self, attempt: impl Into<Attempt>) -> Vec<Finding> {
         let mut check = Check { session: self, found: Verification::default() };
-        check.pair(&self.pair_dir(number));
+        check.pair(&self.pair_dir(attempt));
         check.found.findings
     }
 }
@@ -125,6 +142,8 @@ impl Check<'_> {
         let mut folders = vec![];
         for entry in entries {
             match entry {
+                // What is being written just now by whoever has the session open for writing is no leftover.
+                Ok(entry) if is_temporary(&entry.path()) && self.session.numbering.is_some() => {}
                 Ok(entry) if is_temporary(&entry.path()) => {
                     let why = "left by an interrupted run; opening the session removes it";
                     self.tell(&entry.path(), Damage::Unknown, why);
@@ -140,16 +159,17 @@ impl Check<'_> {
 
     fn pair(&mut self, folder: &Path) {
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let Some(number) = number_of(&name) else {
+        let Some(attempt) = Attempt::from_folder(&name) else {
             return self.tell(folder, Damage::Unknown, "its name is no pair's number");
         };
         self.found.pairs += 1;
         let Some(record) = self.record::<PairRecord>(&folder.join(PAIR_RECORD)) else { return };
-        if record.number != number {
-            let why = format!("it says that it is pair {}", record.number);
+        if Attempt::from(&record) != attempt {
+            let why = format!("it says that it is pair {}", Attempt::from(&record));
             self.tell(&folder.join(PAIR_RECORD), Damage::Altered, why);
         }
-        self.frames(folder, PAIR_RECORD, [&record.off, &record.on]);
+        let frames: Vec<&FrameRecord> = record.frames().map(|(_, frame)| frame).collect();
+        self.frames(folder, PAIR_RECORD, &frames);
     }
 
     /// A file where folders are: copies of card shots begin with the start of their BLAKE3.
@@ -175,7 +195,7 @@ impl Check<'_> {
     fn shot(&mut self, folder: &Path) {
         self.found.calibration_shots += 1;
         if let Some(frames) = self.record::<Frames>(&folder.join(SHOT_RECORD)) {
-            self.frames(folder, SHOT_RECORD, [&frames.off, &frames.on]);
+            self.frames(folder, SHOT_RECORD, &[&frames.off, &frames.on]);
         }
     }
 
@@ -194,18 +214,21 @@ impl Check<'_> {
     }
 
     /// The originals of a folder, and whatever else lies in it.
-    fn frames(&mut self, folder: &Path, record: &str, frames: [&FrameRecord; 2]) {
-        let raws = frames.map(|frame| (frame.file.as_str(), frame.bytes, frame.blake3.as_str()));
-        let jpegs = frames.into_iter().filter_map(|frame| frame.jpeg.as_ref());
+    fn frames(&mut self, folder: &Path, record: &str, frames: &[&FrameRecord]) {
+        let raws = frames.iter().map(|frame| (frame.file.as_str(), frame.bytes, frame.blake3.as_str()));
+        let jpegs = frames.iter().filter_map(|frame| frame.jpeg.as_ref());
         let jpegs = jpegs.map(|jpeg| (jpeg.file.as_str(), jpeg.bytes, jpeg.blake3.as_str()));
-        let originals: Vec<_> = raws.into_iter().chain(jpegs).collect();
+        let originals: Vec<_> = raws.chain(jpegs).collect();
         for &(name, bytes, digest) in &originals {
             self.original(&folder.join(name), bytes, digest);
         }
         let known: BTreeSet<&str> =
             originals.iter().map(|original| original.0).chain(std::iter::once(record)).collect();
         for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-            if !known.contains(entry.file_name().to_string_lossy().as_ref()) {
+            let name = entry.file_name();
+            let name = name.to_string_lossy();
+            let sidecar = || originals.iter().any(|original| is_sidecar(&name, original.0));
+            if !known.contains(name.as_ref()) && !sidecar() {
                 self.tell(&entry.path(), Damage::Unknown, "not one of the files that were stored");
             }
         }
@@ -246,40 +269,46 @@ impl Check<'_> {
         if entries.is_empty() {
             return self.tell(&file, Damage::Missing, "the journal is not there, or empty");
         }
-        let mut stored: BTreeMap<u32, &str> = BTreeMap::new();
+        let mut stored: BTreeMap<Attempt, &str> = BTreeMap::new();
+        let own = |number: &u32, attempt: &u32| Attempt { number: *number, attempt: *attempt };
         let mut begun = BTreeSet::new();
         for entry in &entries {
             match &entry.event {
-                Event::PairIntended { number, .. } => {
-                    begun.insert(*number);
+                Event::PairIntended { number, attempt, .. } => {
+                    begun.insert(own(number, attempt));
                 }
-                Event::PairCommitted { number, name, .. } => {
-                    stored.insert(*number, name);
+                Event::PairCommitted { number, attempt, name, .. } => {
+                    stored.insert(own(number, attempt), name);
                 }
-                Event::Note { what, detail } if what == SHOT_STORED => {
-                    let name = detail.get("name").and_then(|name| name.as_str()).unwrap_or_default();
-                    let folder = self.session.calibration_dir().join("flash").join(name);
-                    if !folder.is_dir() {
-                        let why = "this card shot was stored and is not there any more";
-                        self.tell(&folder, Damage::Missing, why);
+                event => {
+                    if let Some((name, SHOT_STORED)) = shots::told(event) {
+                        let folder = self.session.calibration_dir().join("flash").join(name);
+                        if !folder.is_dir() {
+                            let why = "this card shot was stored and is not there any more";
+                            self.tell(&folder, Damage::Missing, why);
+                        }
                     }
                 }
-                _ => {}
             }
         }
         let names = folders.iter().filter_map(|folder| folder.file_name());
-        let there: BTreeSet<u32> = names.filter_map(|name| number_of(&name.to_string_lossy())).collect();
-        for (number, name) in stored.iter().filter(|(number, _)| !there.contains(number)) {
-            let why = format!("pair {name} was stored and is not there any more");
-            self.tell(&self.session.pair_dir(*number), Damage::Missing, why);
+        let there: BTreeSet<Attempt> =
+            names.filter_map(|name| Attempt::from_folder(&name.to_string_lossy())).collect();
+        let gone = |own: &Attempt| !there.contains(own) && !self.session.pair_dir(*own).is_dir();
+        for (own, name) in stored.iter().filter(|(own, _)| gone(own)).collect::<Vec<_>>() {
+            let why = match own.attempt {
+                1 => format!("pair {name} was stored and is not there any more"),
+                n => format!("attempt {n} at pair {name} was stored and is not there any more"),
+            };
+            self.tell(&self.session.pair_dir(*own), Damage::Missing, why);
         }
-        for number in there.iter().filter(|number| !stored.contains_key(number)) {
-            let why = if begun.contains(number) {
+        for own in there.iter().filter(|own| !stored.contains_key(own)) {
+            let why = if begun.contains(own) {
                 "the journal does not call it stored; opening the session for writing settles that"
             } else {
                 "the journal does not know this pair; it was copied here, or the journal is not this session's"
             };
-            self.tell(&self.session.pair_dir(*number), Damage::Unknown, why);
+            self.tell(&self.session.pair_dir(*own), Damage::Unknown, why);
         }
     }
 }
@@ -290,10 +319,4 @@ fn is_temporary(path: &Path) -> bool {
 
 fn start(digest: &str) -> &str {
     digest.get(..12).unwrap_or(digest)
-}
-
-/// The number that a pair's folder is named by.
-pub(super) fn number_of(name: &str) -> Option<u32> {
-    let digits = name.len() >= 4 && name.bytes().all(|b| b.is_ascii_digit());
-    if digits { name.parse().ok() } else { None }
 }

@@ -17,9 +17,8 @@ use super::world::{self, WorldError};
 use crate::codec::asset::AssetError;
 use crate::codec::tiff16;
 use crate::progress::Progress;
+use crate::scene::export::{self, Photo};
 use crate::scene::{Camera, write_obj};
-use glam::{DMat3, DQuat};
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Why the truth could not be written.
@@ -68,9 +67,10 @@ pub fn export(folder: &Path, progress: &Progress) -> Result<Exported, TruthError
     let header = ["metres, z up; facet normals: the surface is exactly these triangles"];
     write_obj(&geometry.join("object.obj"), &known.object, &header)?;
     write_obj(&geometry.join("floor.obj"), &known.floor, &header)?;
-    write_text(&geometry.join("cameras.xml"), &blocks_exchange(&known.cameras))?;
-    write_text(&geometry.join("colmap/cameras.txt"), &colmap_cameras(&known.cameras))?;
-    write_text(&geometry.join("colmap/images.txt"), &colmap_images(&known.cameras))?;
+    let photos = photos(&known.cameras);
+    write_text(&geometry.join("cameras.xml"), &export::blocks_exchange("studio", &photos))?;
+    write_text(&geometry.join("colmap/cameras.txt"), &export::colmap_cameras(&photos))?;
+    write_text(&geometry.join("colmap/images.txt"), &export::colmap_images(&photos))?;
     write_text(&geometry.join("colmap/points3D.txt"), "# no points\n")?;
     for (i, (camera, view)) in known.cameras.iter().zip(&known.views).enumerate() {
         progress.report("writing the truth", i, known.cameras.len());
@@ -89,93 +89,15 @@ pub fn export(folder: &Path, progress: &Progress) -> Result<Exported, TruthError
     })
 }
 
-/// Writes cameras (at least one, of one lens) as BlocksExchange XML.
+/// Writes cameras as BlocksExchange XML.
 pub(super) fn write_cameras(path: &Path, cameras: &[Camera]) -> std::io::Result<()> {
-    std::fs::write(path, blocks_exchange(cameras))
+    std::fs::write(path, export::blocks_exchange("studio", &photos(cameras)))
+}
+
+fn photos(cameras: &[Camera]) -> Vec<Photo<'_>> {
+    cameras.iter().map(|camera| (camera, format!("{}.dng", camera.name))).collect()
 }
 
 fn write_text(path: &Path, text: &str) -> Result<(), TruthError> {
     std::fs::write(path, text).map_err(|source| TruthError::Io { path: path.to_owned(), source })
-}
-
-/// Angles in degrees of a rotation Rx(omega) Ry(phi) Rz(kappa).
-fn omega_phi_kappa(rotation: DMat3) -> [f64; 3] {
-    let (x, y, z) = (rotation.x_axis, rotation.y_axis, rotation.z_axis);
-    [(-z.y).atan2(z.z), z.x.clamp(-1.0, 1.0).asin(), (-y.x).atan2(x.x)].map(f64::to_degrees)
-}
-
-fn blocks_exchange(cameras: &[Camera]) -> String {
-    let mut photos = String::new();
-    for (id, camera) in cameras.iter().enumerate() {
-        let [omega, phi, kappa] = omega_phi_kappa(camera.world_from_camera.matrix3);
-        let c = camera.centre();
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            photos,
-            "        <Photo><Id>{id}</Id><ImagePath>{}.dng</ImagePath><Pose><Rotation><Omega>{omega:.12}</Omega>\
-             <Phi>{phi:.12}</Phi><Kappa>{kappa:.12}</Kappa></Rotation><Center><x>{}</x><y>{}</y><z>{}</z></Center>\
-             </Pose></Photo>",
-            camera.name, c.x, c.y, c.z
-        );
-    }
-    let lens = cameras[0].intrinsics;
-    let (width, height) = (lens.width, lens.height);
-    // The format counts the principal point from the centre of the first pixel.
-    let (cx, cy) = (lens.principal.x - 0.5, lens.principal.y - 0.5);
-    let focal = lens.focal.x * 36.0 / width.max(height) as f64;
-    format!(
-        r#"<?xml version="1.0" encoding="utf-8"?>
-<BlocksExchange version="2.1">
-  <Block>
-    <Name>studio</Name>
-    <Photogroups>
-      <Photogroup>
-        <Name>camera</Name>
-        <ImageDimensions><Width>{width}</Width><Height>{height}</Height></ImageDimensions>
-        <CameraModelType>Perspective</CameraModelType>
-        <FocalLength>{focal}</FocalLength>
-        <SensorSize>36</SensorSize>
-        <CameraOrientation>XRightYDown</CameraOrientation>
-        <PrincipalPoint><x>{cx}</x><y>{cy}</y></PrincipalPoint>
-        <Distortion><K1>0</K1><K2>0</K2><K3>0</K3><P1>0</P1><P2>0</P2></Distortion>
-{photos}      </Photogroup>
-    </Photogroups>
-  </Block>
-</BlocksExchange>
-"#
-    )
-}
-
-fn colmap_cameras(cameras: &[Camera]) -> String {
-    let lens = cameras[0].intrinsics;
-    format!(
-        "# Camera list: CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 PINHOLE {} {} {} {} {} {}\n",
-        lens.width, lens.height, lens.focal.x, lens.focal.y, lens.principal.x, lens.principal.y
-    )
-}
-
-fn colmap_images(cameras: &[Camera]) -> String {
-    let mut text =
-        "# Image list: IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; then an empty POINTS2D line\n"
-            .to_owned();
-    for (id, camera) in cameras.iter().enumerate() {
-        let camera_from_world = camera.world_from_camera.inverse();
-        let q = DQuat::from_mat3(&camera_from_world.matrix3).normalize();
-        let t = camera_from_world.translation;
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            text,
-            "{} {} {} {} {} {} {} {} 1 {}.dng\n",
-            id + 1,
-            q.w,
-            q.x,
-            q.y,
-            q.z,
-            t.x,
-            t.y,
-            t.z,
-            camera.name
-        );
-    }
-    text
 }

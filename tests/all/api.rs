@@ -11,17 +11,18 @@ use tempfile::TempDir;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 use unlit::capture::{Desk, Engine, Events, FlashKind, RigSource, Works};
-use unlit::http::{self, StageOrder, StudioBody, StudioControl};
+use unlit::http::{self, Door, StageOrder, StudioBody, StudioControl};
 use unlit::jobs::WorkError;
 use unlit::pair::Limits;
 use unlit::session::Session;
 
-const PATIENCE: Duration = Duration::from_secs(20);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A daemon on a port of its own, its folder, and how often its processing ran.
-struct House {
-    folder: TempDir,
-    port: u16,
+pub(crate) struct House {
+    pub(crate) folder: TempDir,
+    pub(crate) port: u16,
+    pub(crate) desk: Desk,
     processed: Arc<AtomicU32>,
     stop: Option<oneshot::Sender<()>>,
     runtime: Option<tokio::runtime::Runtime>,
@@ -29,7 +30,7 @@ struct House {
 }
 
 /// Works that leave marks in the session, as the real ones do.
-fn marking_works(processed: &Arc<AtomicU32>) -> Works {
+pub(crate) fn marking_works(processed: &Arc<AtomicU32>) -> Works {
     let processed = processed.clone();
     let fail = |e: std::io::Error| WorkError::failed("disk", e);
     Works {
@@ -54,54 +55,70 @@ fn marking_works(processed: &Arc<AtomicU32>) -> Works {
         }),
         has_scene: Arc::new(|session| session.scene_dir().join("scene.json").is_file()),
         has_flash_calibration: Arc::new(|session| session.calibration_dir().join("flash.json").is_file()),
+        needs_processing: Arc::new(|session| !session.model_dir().join("model.glb").is_file()),
     }
 }
 
 impl House {
-    fn open(rig: RigSource) -> Self {
+    pub(crate) fn open(rig: RigSource) -> Self {
         Self::open_with(rig, None)
     }
 
     fn open_with(rig: RigSource, studio: Option<Arc<dyn StudioControl>>) -> Self {
+        Self::open_narrow(rig, studio, 64)
+    }
+
+    /// So many threads may wait for disk and devices.
+    pub(crate) fn open_narrow(
+        rig: RigSource,
+        studio: Option<Arc<dyn StudioControl>>,
+        threads: usize,
+    ) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let events = Events::default();
         let engine = Arc::new(Engine::new(rig, Limits::default(), events.clone()));
         let processed = Arc::default();
         let works = marking_works(&processed);
         let desk = Desk::open(engine, events, &folder.path().join("sessions"), works, None).unwrap();
-        let runtime =
-            tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(2)
+            .max_blocking_threads(threads)
+            .enable_all()
+            .build()
+            .unwrap();
         let listener = runtime.block_on(TcpListener::bind("127.0.0.1:0")).unwrap();
         let port = listener.local_addr().unwrap().port();
         let (stop, stopped) = oneshot::channel::<()>();
-        let served = runtime.spawn(http::serve(listener, desk, studio, async move {
-            let _dropped = stopped.await;
-        }));
-        Self { folder, port, processed, stop: Some(stop), runtime: Some(runtime), served: Some(served) }
+        let served =
+            runtime.spawn(http::serve(listener, desk.clone(), studio, Door::default(), async move {
+                let _dropped = stopped.await;
+            }));
+        let (stop, runtime, served) = (Some(stop), Some(runtime), Some(served));
+        Self { folder, port, desk, processed, stop, runtime, served }
     }
 
-    fn url(&self, path: &str) -> String {
+    pub(crate) fn url(&self, path: &str) -> String {
         format!("http://127.0.0.1:{}{path}", self.port)
     }
 
-    fn session(&self, name: &str) -> PathBuf {
+    pub(crate) fn session(&self, name: &str) -> PathBuf {
         self.folder.path().join("sessions").join(name)
     }
 
-    fn get(&self, path: &str) -> (u16, Value) {
+    pub(crate) fn get(&self, path: &str) -> (u16, Value) {
         answer(agent().get(self.url(path)).call().unwrap())
     }
 
-    fn post(&self, path: &str, body: &Value) -> (u16, Value) {
+    pub(crate) fn post(&self, path: &str, body: &Value) -> (u16, Value) {
         answer(agent().post(self.url(path)).send_json(body).unwrap())
     }
 
-    fn post_nothing(&self, path: &str) -> (u16, Value) {
+    pub(crate) fn post_nothing(&self, path: &str) -> (u16, Value) {
         answer(agent().post(self.url(path)).send_empty().unwrap())
     }
 
     /// The job once it has ended.
-    fn ended(&self, job: &Value) -> Value {
+    pub(crate) fn ended(&self, job: &Value) -> Value {
         let end = Instant::now() + PATIENCE;
         loop {
             let (_, now) = self.get(job["url"].as_str().unwrap());
@@ -113,7 +130,7 @@ impl House {
         }
     }
 
-    fn take_pair(&self) -> Value {
+    pub(crate) fn take_pair(&self) -> Value {
         let (status, job) = self.post_nothing("/api/v1/pairs?wait=true");
         assert_eq!((status, job["state"].as_str()), (200, Some("done")), "{job}");
         job["result"].clone()
@@ -154,11 +171,11 @@ impl Drop for House {
     }
 }
 
-fn agent() -> ureq::Agent {
+pub(crate) fn agent() -> ureq::Agent {
     ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(PATIENCE)).build().into()
 }
 
-fn answer(mut response: ureq::http::Response<ureq::Body>) -> (u16, Value) {
+pub(crate) fn answer(mut response: ureq::http::Response<ureq::Body>) -> (u16, Value) {
     let text = response.body_mut().read_to_string().unwrap();
     (response.status().as_u16(), serde_json::from_str(&text).unwrap_or(Value::String(text)))
 }
@@ -190,6 +207,58 @@ fn an_empty_post_right_after_the_start_takes_a_pair() {
 }
 
 #[test]
+fn a_rejected_pair_is_shot_again_in_the_order_that_is_wished() {
+    let house = House::open(Room::with(Trouble::CutsFile(0)).rig());
+    house.post("/api/v1/sessions", &json!({ "name": "vase" }));
+    let take = |body: Value| {
+        let (status, job) = house.post("/api/v1/pairs?wait=true", &body);
+        assert_eq!(status, 200, "{job}");
+        job["result"].clone()
+    };
+    let first = take(json!({ "order": "off_on_off", "off_frames": 2 }));
+    assert_eq!(
+        (&first["number"], &first["attempt"], &first["verdict"]),
+        (&1.into(), &1.into(), &"rejected".into())
+    );
+    let second = take(json!({ "again": 1 }));
+    assert_eq!(
+        (&second["number"], &second["attempt"], &second["verdict"]),
+        (&1.into(), &2.into(), &"accepted".into())
+    );
+
+    let (_, pairs) = house.get("/api/v1/sessions/vase/pairs");
+    assert_eq!(pairs.as_array().unwrap().len(), 1);
+    let pair = &pairs[0];
+    assert_eq!((&pair["order"], &pair["attempt"]), (&"off_on_off".into(), &2.into()));
+    assert_eq!(pair["attempts"][0]["verdict"], "rejected");
+    assert_eq!(pair["attempts"][0]["reasons"][0]["code"], "truncated");
+    assert_eq!((pair["more_off"].as_array().unwrap().len(), pair["after"].as_array().unwrap().len()), (1, 2));
+    let drift = pair["drift"]["ambient"][1].as_f64().unwrap();
+    assert!((drift - 1.0).abs() < 0.01, "{pair}");
+    let after = &pair["after"][1];
+    let mut original = agent().get(house.url(after["url"].as_str().unwrap())).call().unwrap();
+    let bytes = original.body_mut().read_to_vec().unwrap();
+    assert_eq!(bytes, std::fs::read(house.session("vase").join("pairs/0001-2/after-2.dng")).unwrap());
+    let thumbnail = agent().get(house.url(after["thumbnail"].as_str().unwrap())).call().unwrap();
+    assert_eq!(thumbnail.headers()["content-type"], "image/jpeg");
+
+    for (body, status, code) in [
+        (json!({ "again": 1 }), 409, "pair_accepted"),
+        (json!({ "again": 7 }), 404, "pair_not_found"),
+        (json!({ "off_frames": 0 }), 400, "order_invalid"),
+        (json!({ "off_frames": 17 }), 400, "order_invalid"),
+        (json!({ "order": "on_on" }), 422, "body_invalid"),
+    ] {
+        let (found, problem) = house.post("/api/v1/pairs", &body);
+        assert_eq!((found, problem["code"].as_str()), (status, Some(code)), "{body}: {problem}");
+    }
+    let (status, problem) = house.get("/api/v1/sessions/vase/pairs/1/after-3/thumbnail.jpg");
+    assert_eq!((status, problem["code"].as_str()), (404, Some("frame_not_found")), "{problem}");
+    assert_eq!(house.get("/api/v1/sessions/vase/pairs/1/sideways/thumbnail.jpg").0, 400);
+    assert_eq!(house.take_pair()["number"], 2, "what is shot again spends no number");
+}
+
+#[test]
 fn sessions_are_made_entered_and_listed() {
     let house = House::open(Room::default().rig());
     assert_eq!(house.get("/api/v1/sessions").1, json!([]));
@@ -203,7 +272,7 @@ fn sessions_are_made_entered_and_listed() {
     let names: Vec<_> = all.as_array().unwrap().iter().map(|s| s["name"].as_str().unwrap()).collect();
     assert_eq!(names, ["bowl", "vase"]);
     let (_, job) = house.post("/api/v1/pairs?wait=true", &json!({ "session": "bowl" }));
-    assert_eq!(job["result"], json!({ "session": "bowl", "number": 2, "verdict": "accepted" }));
+    assert_eq!(job["result"], json!({ "session": "bowl", "number": 2, "attempt": 1, "verdict": "accepted" }));
 }
 
 #[test]
@@ -235,27 +304,10 @@ fn names_that_lead_elsewhere_are_refused() {
         let (status, problem) = house.post("/api/v1/sessions", &json!({ "name": name }));
         assert_eq!((status, problem["code"].as_str()), (400, Some("session_name_invalid")), "{name:?}");
     }
-    assert_eq!(std::fs::read_dir(house.folder.path().join("sessions")).unwrap().count(), 0);
+    let made = std::fs::read_dir(house.folder.path().join("sessions")).unwrap().flatten();
+    assert_eq!(made.filter(|entry| entry.file_name() != ".unlit").count(), 0);
     for path in ["/api/v1/sessions/..%2F..", "/api/v1/sessions/nobody", "/api/v1/sessions/%2e%2e/pairs"] {
         assert_eq!(house.get(path).0, 404, "{path}");
-    }
-}
-
-#[test]
-fn files_outside_the_session_stay_outside() {
-    let house = House::open(Room::default().rig());
-    house.post("/api/v1/sessions", &json!({ "name": "vase" }));
-    std::fs::write(house.folder.path().join("secret"), "secret").unwrap();
-    std::os::unix::fs::symlink(house.folder.path().join("secret"), house.session("vase").join("link"))
-        .unwrap();
-    let files = "/api/v1/sessions/vase/files";
-    assert_eq!(house.get(&format!("{files}/session.json")).0, 200);
-    for path in
-        ["link", "..%2F..%2Fsecret", "%2e%2e/%2e%2e/secret", ".lock", "pairs", "nothing", "pairs/..%2F.lock"]
-    {
-        let (status, problem) = house.get(&format!("{files}/{path}"));
-        let code = problem["code"].as_str().unwrap();
-        assert!(status == 404 && code.ends_with("not_found"), "{path}: {status} {problem}");
     }
 }
 
@@ -370,7 +422,7 @@ fn senseless_values_are_refused_with_a_sentence() {
             json!({ "target_reflectance": 0.9, "ring_radii": [0.03, 0.08] }),
             "inputs_missing",
         ),
-        ("scene", json!({}), "body_invalid"),
+        ("scene", json!({}), "content_type_unsupported"),
     ] {
         let (status, problem) = house.post(&format!("/api/v1/sessions/vase/{path}"), &body);
         assert!((400..500).contains(&status), "{path} {body}: {status}");
@@ -379,7 +431,7 @@ fn senseless_values_are_refused_with_a_sentence() {
     assert_eq!(house.post("/api/v1/pairs", &json!({ "sesion": "vase" })).1["code"], "body_invalid");
     assert_eq!(house.get("/api/v1/nothing").1["code"], "not_found");
     assert_eq!(house.get("/api/v1/jobs/99").1["code"], "job_not_found");
-    assert_eq!(house.get("/api/v1/confirm"), house.get("/api/v1/confirm"));
+    assert_eq!(house.get("/api/v1/confirm").1["code"], "method_not_allowed");
     assert_eq!(house.post_nothing("/api/v1/confirm").1["code"], "nothing_asked");
 }
 
@@ -568,5 +620,25 @@ fn live_pictures_come_as_a_still_and_as_a_stream() {
     }
     let none = House::open(Room::with(Trouble::NoCamera).rig());
     let (status, problem) = none.get("/api/v1/live.jpg");
-    assert_eq!((status, &problem["code"]), (503, &json!("no_live_picture")), "{problem}");
+    assert_eq!((status, &problem["code"]), (409, &json!("no_live_picture")), "{problem}");
+}
+
+#[test]
+fn a_session_is_checked_as_a_job_whose_result_names_the_damage() {
+    let house = House::open(Room::default().rig());
+    house.post("/api/v1/sessions", &json!({ "name": "vase" }));
+    house.take_pair();
+    let verify = || {
+        let (status, job) = house.post_nothing("/api/v1/sessions/vase/verify");
+        assert_eq!((status, &job["kind"]), (202, &json!("verify")), "{job}");
+        house.ended(&job)["result"].clone()
+    };
+    let whole = verify();
+    assert_eq!((&whole["whole"], &whole["originals"]), (&json!(true), &json!(2)), "{whole}");
+    std::fs::write(house.session("vase").join("pairs/0001/on.dng"), b"").unwrap();
+    let found = verify();
+    let finding = &found["findings"][0];
+    assert_eq!((&found["whole"], &finding["path"]), (&json!(false), &json!("pairs/0001/on.dng")), "{found}");
+    assert_eq!(finding["damage"], "altered");
+    assert_eq!(house.post_nothing("/api/v1/sessions/none/verify").0, 404);
 }

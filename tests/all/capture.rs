@@ -131,6 +131,39 @@ fn a_camera_error_leaves_a_line_in_the_journal_and_nothing_half() {
 }
 
 #[test]
+fn a_panic_in_the_middle_closes_the_gate_and_the_next_pair_is_good() {
+    for release in [0, 1] {
+        let room = Room::with(Trouble::PanicsAt(release));
+        let shoot = shoot_with(room.rig());
+        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| shoot.pair()));
+        assert!(outcome.is_err(), "{outcome:?}");
+        assert!(!room.is_armed(), "the gate was left open after release {release}");
+        room.set(Trouble::None);
+        let pair = shoot.pair().unwrap();
+        assert_eq!((pair.number, pair.verdict), (1, Verdict::Accepted));
+    }
+}
+
+#[test]
+fn the_gate_is_closed_past_a_camera_that_does_not_come_back() {
+    let room = Room::with(Trouble::HoldsAt(1));
+    let shoot = shoot_with(room.rig());
+    std::thread::scope(|scope| {
+        let pair = scope.spawn(|| shoot.pair());
+        let end = Instant::now() + Duration::from_secs(10);
+        while room.log().last() != Some(&"shoot") || !room.is_armed() {
+            assert!(Instant::now() < end, "{:?}", room.log());
+            std::thread::yield_now();
+        }
+        shoot.engine.close_gate();
+        assert!(!room.is_armed());
+        room.set(Trouble::None);
+        // The flash stayed dark, and the pair says so.
+        assert_eq!(pair.join().unwrap().unwrap().verdict, Verdict::Rejected);
+    });
+}
+
+#[test]
 fn cancelling_between_the_frames_stores_nothing_and_closes_the_gate() {
     let room = Room::default();
     let shoot = shoot_with(room.rig());

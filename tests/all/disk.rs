@@ -10,7 +10,7 @@ use std::process::{Command, Output};
 use std::sync::OnceLock;
 use unlit::pair::Settings;
 use unlit::progress::Progress;
-use unlit::session::{Commit, NewFrame, NewPair, Session};
+use unlit::session::{Commit, More, NewFrame, NewPair, Session};
 
 const ENOSPC: i32 = 28;
 const EROFS: i32 = 30;
@@ -18,7 +18,7 @@ const EACCES: i32 = 13;
 const EIO: i32 = 5;
 
 /// The library, compiled once.
-fn faults() -> &'static Path {
+pub(crate) fn faults() -> &'static Path {
     static LIBRARY: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
     let (_, library) = LIBRARY.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
@@ -232,7 +232,7 @@ fn commits_on_a_bad_disk() {
         };
         let (off, on) = ([turn; 3000], [turn + 100; 2000]);
         let (off, on) = (frame(off.as_slice()), frame(on.as_slice()));
-        let pair = NewPair { name: None, off, on, reasons: vec![], flash: None };
+        let pair = NewPair { name: None, off, on, reasons: vec![], flash: None, more: More::default() };
         let commit = session.intend_pair().and_then(|_| session.commit_pair(pair));
         match commit {
             Ok(Commit::Stored(record)) => println!("\ncommitted {}", record.number),
@@ -246,7 +246,7 @@ fn commits_on_a_bad_disk() {
 
 #[test]
 fn a_program_that_goes_on_after_a_disk_error_stores_the_next_pair_and_loses_none() {
-    for n in 1..100 {
+    for n in 1..200 {
         let home = tempfile::tempdir().unwrap();
         let path = home.path().join("bath");
         drop(Session::create(&path, "bath").unwrap());

@@ -7,8 +7,8 @@ use std::time::Duration;
 use unlit::capture::{FlashKind, RigSource};
 use unlit::pair::{Dial, Exposure, FlashSync, Offered, Settings, SyncSource};
 use unlit::rig::{
-    Camera, CameraError, CameraInfo, Flash, FlashError, FlashStatus, LockItem, LockReport, LockState, Shot,
-    ShotFile, ShotTimes,
+    Camera, CameraError, CameraInfo, Closer, Flash, FlashError, FlashStatus, LockItem, LockReport, LockState,
+    Shot, ShotFile, ShotTimes,
 };
 use unlit::units::{FNumber, Iso, Seconds};
 
@@ -32,6 +32,10 @@ pub(crate) enum Trouble {
     Refuses(u32),
     /// The camera falls silent at its n-th release, counted from 0, and is well again once brought back.
     HangsAt(u32),
+    /// The camera's driver panics at its n-th release, counted from 0.
+    PanicsAt(u32),
+    /// The camera does not come back from its n-th release, counted from 0, until the trouble is over.
+    HoldsAt(u32),
     /// The camera takes every setting and changes none.
     Disobeys,
     /// Autofocus is on, and only the photographer can switch it off.
@@ -75,6 +79,11 @@ impl Room {
         let mut inside = self.0.lock().unwrap();
         inside.trouble = trouble;
         inside.releases = 0;
+    }
+
+    /// All is well again; releases are counted on, so that no frame comes twice.
+    pub(crate) fn heal(&self) {
+        self.0.lock().unwrap().trouble = Trouble::None;
     }
 
     /// Somebody turns the camera's dials.
@@ -202,6 +211,15 @@ impl Camera for FakeCamera {
             let deadline = Duration::from_secs(10);
             return Err(CameraError::Deadline { operation: "take a picture".into(), deadline });
         }
+        if room.trouble == Trouble::PanicsAt(release) {
+            drop(room);
+            panic!("the driver stumbled");
+        }
+        while room.trouble == Trouble::HoldsAt(release) {
+            drop(room);
+            std::thread::yield_now();
+            room = self.0.0.lock().unwrap();
+        }
         let tag = room.armed.take();
         let triggered = tag.is_some() && room.trouble != Trouble::NoContact;
         let fires_anyway = room.trouble == Trouble::FiresInTheDark && tag.is_none();
@@ -250,6 +268,11 @@ impl Flash for FakeFlash {
         room.log.push("disarm");
         room.armed = None;
         Ok(())
+    }
+
+    fn closer(&self) -> Option<Closer> {
+        let room = self.0.clone();
+        Some(Arc::new(move || FakeFlash(room.clone()).disarm()))
     }
 
     fn syncs(&mut self, _patience: Duration) -> Result<Vec<FlashSync>, FlashError> {

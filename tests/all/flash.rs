@@ -46,6 +46,22 @@ fn a_board_that_runs_already_is_greeted_without_waiting_for_its_boot() {
 }
 
 #[test]
+fn the_gate_is_closed_from_the_side_while_somebody_else_has_the_controller() {
+    let (board, mut flash) = bench(quick());
+    let close = flash.closer().unwrap();
+    flash.arm(3, TTL).unwrap();
+    std::thread::scope(|scope| {
+        let waiting = scope.spawn(|| flash.syncs(Duration::from_millis(1)));
+        close().unwrap();
+        waiting.join().unwrap().unwrap();
+    });
+    assert_eq!(board.close(), 0.0, "the gate was open");
+    // It keeps nobody from letting the controller go, and closes nothing that is closed.
+    drop(flash);
+    close().unwrap();
+}
+
+#[test]
 fn dark_frame_of_an_armed_pair_stays_dark() {
     let (board, mut flash) = bench(quick());
     flash.disarm().unwrap();

@@ -21,7 +21,7 @@ const FLOORS: &[&[&str]] = &[
     &["pair"],
     &["photometry"],
     &["raster"],
-    &["progress", "units"],
+    &["log", "progress", "units"],
 ];
 
 /// Pairs on one floor where the left may use the right: `serve` and `openapi` start the HTTP face.

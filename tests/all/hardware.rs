@@ -531,12 +531,21 @@ fn headings(page: &str) -> impl Iterator<Item = String> + '_ {
 }
 
 #[test]
-fn the_udev_rule_runs_after_the_links_are_made_and_before_access_is_given() {
-    let mut names = std::fs::read_dir(repository().join("packaging/udev")).unwrap();
-    let rule = names.next().expect("a rule").unwrap().file_name().into_string().unwrap();
-    assert!(rule.as_str() > "60-serial.rules" && rule.as_str() < "73-seat-late.rules", "{rule}");
-    let text = read(&format!("packaging/udev/{rule}"));
-    for part in ["TAG+=\"uaccess\"", "GROUP=\"dialout\"", "ENV{ID_MM_DEVICE_IGNORE}=\"1\""] {
-        assert!(text.contains(part), "{part}");
+fn the_udev_rules_run_after_the_links_are_made_and_before_access_is_given() {
+    let serial = ["TAG+=\"uaccess\"", "GROUP=\"dialout\"", "ENV{ID_MM_DEVICE_IGNORE}=\"1\""];
+    let camera = ["TAG+=\"uaccess\"", "GROUP=\"plugdev\"", "ENV{ID_USB_INTERFACES}==\"*:060101:*\""];
+    let expected = [("60-unlit-camera.rules", camera), ("60-unlit-flash.rules", serial)];
+    let mut names: Vec<String> = std::fs::read_dir(repository().join("packaging/udev"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    assert_eq!(names, expected.map(|(name, _)| name));
+    for (rule, parts) in expected {
+        assert!(rule > "60-serial.rules" && rule < "73-seat-late.rules", "{rule}");
+        let text = read(&format!("packaging/udev/{rule}"));
+        for part in parts {
+            assert!(text.contains(part), "{rule}: {part}");
+        }
     }
 }

@@ -13,13 +13,13 @@ const PATIENCE: Duration = Duration::from_secs(300);
 const PAIRS: usize = 6;
 
 /// The daemon in its own process; killed when dropped.
-struct Daemon {
+pub(crate) struct Daemon {
     process: Child,
-    url: String,
+    pub(crate) url: String,
 }
 
 impl Daemon {
-    fn start(folder: &Path) -> Self {
+    pub(crate) fn start(folder: &Path) -> Self {
         let mut process = Command::new(env!("CARGO_BIN_EXE_unlit"))
             .args(["serve", "--studio", "--listen", "127.0.0.1:0", "--sessions"])
             .arg(folder.join("sessions"))
@@ -38,12 +38,20 @@ impl Daemon {
         format!("{}/api/v1{path}", self.url)
     }
 
-    fn get(&self, path: &str) -> Value {
+    pub(crate) fn get(&self, path: &str) -> Value {
         ureq::get(self.path(path)).call().unwrap().body_mut().read_json().unwrap()
     }
 
     fn post(&self, path: &str, body: Value) -> Value {
         ureq::post(self.path(path)).send_json(body).unwrap().body_mut().read_json().unwrap()
+    }
+
+    /// The bytes of a file of the session, asked for as its listing says.
+    fn file(&self, name: &str) -> Vec<u8> {
+        let files = self.get("/sessions/job/files");
+        let named = files.as_array().unwrap().iter().find(|file| file["name"] == name);
+        let url = format!("{}{}", self.url, named.unwrap()["url"].as_str().unwrap());
+        ureq::get(url).call().unwrap().into_body().with_config().limit(1 << 28).read_to_vec().unwrap()
     }
 
     fn stage(&self, order: Value) {
@@ -122,8 +130,7 @@ fn pairs_posted_to_the_api_become_a_model_unaided() {
     assert_eq!(last["state"], "done", "{last}");
     assert_eq!(last["result"]["used"].as_array().unwrap().len(), PAIRS, "{last}");
 
-    let glb = ureq::get(daemon.path("/sessions/job/files/model/model.glb")).call().unwrap();
-    let glb = glb.into_body().with_config().limit(1 << 28).read_to_vec().unwrap();
+    let glb = daemon.file("model/model.glb");
     let (document, _, images) = gltf::import_slice(&glb).unwrap();
     assert_eq!((document.meshes().count(), images.len()), (1, 1));
 
@@ -158,8 +165,7 @@ fn the_flash_is_told(daemon: &Daemon) {
         assert!((figure(pulse, "gain") - 1.0).abs() < 0.02 && figure(pulse, "deviation") < 0.002, "{pulse}");
     }
     daemon.finished(daemon.post("/sessions/job/process", json!({})));
-    let report = ureq::get(daemon.path("/sessions/job/files/model/report.html")).call().unwrap();
-    let report = report.into_body().read_to_string().unwrap();
+    let report = String::from_utf8(daemon.file("model/report.html")).unwrap();
     for words in ["Divided by the measured energy", "divided out of the pairs", "Repeatability run"] {
         assert!(report.contains(words), "the report lacks {words:?}");
     }

@@ -6,16 +6,23 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
-use unlit::pair::{Reason, ReasonCode, Settings, Verdict};
+use unlit::pair::{Attempt, Reason, ReasonCode, Settings, Verdict};
 use unlit::progress::Progress;
-use unlit::session::{Commit, Damage, Event, NewFrame, NewPair, Session, SessionError, Verification};
+use unlit::session::{Commit, Damage, Event, More, NewFrame, NewPair, Session, SessionError, Verification};
 
 fn frame<'a>(bytes: &'a [u8], original_name: &'a str) -> NewFrame<'a> {
     NewFrame { bytes, original_name, settings: Settings::default(), prepared: None, jpeg: None }
 }
 
 fn pair<'a>(name: Option<&'a str>, off: &'a [u8], on: &'a [u8]) -> NewPair<'a> {
-    NewPair { name, off: frame(off, "a.DNG"), on: frame(on, "b.CR2"), reasons: Vec::new(), flash: None }
+    NewPair {
+        name,
+        off: frame(off, "a.DNG"),
+        on: frame(on, "b.CR2"),
+        reasons: Vec::new(),
+        flash: None,
+        more: More::default(),
+    }
 }
 
 fn stored(commit: Commit) -> unlit::pair::PairRecord {
@@ -71,8 +78,8 @@ fn the_journal_tells_intent_and_result_in_order() {
         events,
         [
             Event::SessionCreated,
-            Event::PairIntended { number: 1, name: "a".into() },
-            Event::PairCommitted { number: 1, name: "a".into(), verdict: Verdict::Accepted },
+            Event::PairIntended { number: 1, attempt: 1, name: "a".into() },
+            Event::PairCommitted { number: 1, attempt: 1, name: "a".into(), verdict: Verdict::Accepted },
             Event::Note { what: "shutter".into(), detail: 7.into() },
         ]
     );
@@ -236,7 +243,7 @@ fn a_pair_that_was_begun_and_not_stored_is_named_and_its_number_is_used_again() 
     assert_eq!((recovery.removed.as_slice(), recovery.cut), (&["pairs/.tmp-1-1".into()][..], 6));
     let sentences = recovery.sentences(|_| false);
     assert!(sentences[0].contains("Pair 0002 was interrupted") && sentences.len() == 3, "{sentences:?}");
-    assert_eq!(recovery.sentences(|name| name == "0002").len(), 2);
+    assert_eq!(recovery.sentences(|pair| pair.name == "0002").len(), 2);
     assert_eq!(session.next_pair_number().unwrap(), 2);
     let again = stored(session.commit_pair(pair(None, b"3", b"4")).unwrap());
     assert_eq!(again.number, 2);
@@ -256,7 +263,7 @@ fn a_pair_whose_folder_is_whole_is_stored_whatever_the_journal_lacks() {
     std::fs::write(&journal, format!("{before}\n")).unwrap();
 
     let session = Session::open(home.path()).unwrap();
-    assert_eq!(session.recovery().completed, [1]);
+    assert_eq!(session.recovery().completed, [Attempt::first(1)]);
     assert_eq!((session.pairs().unwrap(), session.next_pair_number().unwrap()), (vec![record], 2));
     assert!(session.verify(&Progress::silent()).unwrap().findings.is_empty());
 }
@@ -271,7 +278,10 @@ fn an_abandoned_pair_gives_its_number_back_and_says_why() {
     assert_eq!(stored(session.commit_pair(pair(None, b"1", b"2")).unwrap()).number, 1);
     let events: Vec<Event> = session.journal().unwrap().into_iter().map(|e| e.event).collect();
     let (number, name) = (1, "0001".to_owned());
-    assert_eq!(events[2], Event::PairAbandoned { number, name: name.clone(), why: "mirror up".into() });
+    assert_eq!(
+        events[2],
+        Event::PairAbandoned { number, attempt: 1, name: name.clone(), why: "mirror up".into() }
+    );
     assert_eq!(events[3..].len(), 2, "{events:?}");
     drop(session);
     assert_eq!(Session::open(home.path()).unwrap().recovery(), &Default::default());
@@ -296,7 +306,11 @@ fn verify_names_every_damage_and_nothing_else() {
     std::fs::remove_file(at(3, "off.dng")).unwrap();
     std::fs::write(at(4, "pair.json"), b"{").unwrap();
     std::fs::remove_dir_all(session.pair_dir(5)).unwrap();
-    std::fs::write(at(1, "off.xmp"), b"<x/>").unwrap();
+    std::fs::write(at(1, "off.tif"), b"developed").unwrap();
+    // Sidecars can be made again, and other programs write into them.
+    std::fs::remove_file(at(1, "off.xmp")).unwrap();
+    std::fs::write(at(1, "on.xmp"), b"<x/>").unwrap();
+    std::fs::write(at(1, "on.cr2.xmp"), b"<x/>").unwrap();
     std::fs::create_dir(session.pairs_dir().join("holidays")).unwrap();
     // Card shots: copies that are named by their digest, one of them altered; and one that was stored and is gone.
     let cards = session.calibration_dir().join("flash");
@@ -319,7 +333,7 @@ fn verify_names_every_damage_and_nothing_else() {
             (altered_card.as_str(), Damage::Altered),
             ("calibration/flash/d01000_1", Damage::Missing),
             ("pairs/0001/off.dng", Damage::Altered),
-            ("pairs/0001/off.xmp", Damage::Unknown),
+            ("pairs/0001/off.tif", Damage::Unknown),
             ("pairs/0002/on.cr2", Damage::Altered),
             ("pairs/0003/off.dng", Damage::Missing),
             ("pairs/0004/pair.json", Damage::Unreadable),

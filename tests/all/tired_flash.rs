@@ -5,6 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::Duration;
 use unlit::pair::energy::{AdviceCode, EnergyScale, Trend, trend};
+use unlit::pair::order::Order;
 use unlit::pair::{FlashRecord, FlashSync, FrameRecord, PairRecord, Settings, Verdict};
 use unlit::rig::Flash;
 use unlit::rig::flash::SerialFlash;
@@ -26,11 +27,17 @@ fn record(number: u32, off: FlashSync, on: FlashSync) -> PairRecord {
     };
     PairRecord {
         number,
+        attempt: 1,
         name: format!("{number:04}"),
         verdict: Verdict::Accepted,
         reasons: vec![],
+        order: Order::OffOn,
+        off_frames: 1,
         off: frame(),
+        more_off: vec![],
         on: frame(),
+        after: vec![],
+        drift: None,
         flash: Some(FlashRecord { off: vec![off], on: vec![on] }),
     }
 }

@@ -47,10 +47,16 @@ pub(crate) fn settings(dials: Exposure) -> Settings {
 /// A textured wall in the room's light plus `flash` times the flash's light, with a little noise that
 /// differs from frame to frame.
 pub(crate) fn photo(flash: f64, frame: u32, dials: Exposure) -> Vec<u8> {
+    photo_in(1.0, flash, frame, dials)
+}
+
+/// The same in a room that is so many times as bright.
+pub(crate) fn photo_in(lamps: f64, flash: f64, frame: u32, dials: Exposure) -> Vec<u8> {
     // Labels are rounded; shutters and apertures really move by thirds of a stop.
     let thirds = |stops: f64| (3.0 * stops).round() / 3.0;
     let gain = thirds((dials.iso.0 / 100.0).log2()) - thirds(2.0 * (dials.aperture.0 / 11.0).log2());
-    let (room, flash) = ((gain + thirds((dials.shutter.0 * 125.0).log2())).exp2(), flash * gain.exp2());
+    let room = lamps * (gain + thirds((dials.shutter.0 * 125.0).log2())).exp2();
+    let flash = flash * gain.exp2();
     let dn = Image::from_fn(192, 128, |x, y| {
         let hash = |seed: u64| {
             let mut h = (x as u64 / 2) << 32 ^ (y as u64 / 2) << 8 ^ seed;

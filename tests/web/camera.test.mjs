@@ -319,7 +319,7 @@ test("a device that is brought back is told calmly and forgotten when the pair e
       resolve(JSON.parse(/^data: (.*)$/m.exec(new TextDecoder().decode(value))[1]));
     }, reject);
   });
-  const state = { version, devices, session: "camera", jobs: [], prompt: null, studio: null };
+  const state = { version, devices, session: "camera", jobs: [], prompt: null, sequences: [], studio: null };
   const begin = `retry: 600000\nevent: state\ndata: ${JSON.stringify(state)}\n\n`;
   const running = begin + happened("job", { ...job, state: "running" }) + happened("recovery", {}, words);
   const open = (stream) =>

@@ -5,6 +5,7 @@ import { Jobs } from "./Jobs";
 import { LastPair } from "./LastPair";
 import { useLive } from "./live";
 import { Pairs } from "./Pairs";
+import { Sequence } from "./Sequence";
 import { SessionMenu } from "./SessionMenu";
 import { Shutter } from "./Shutter";
 import { words } from "./words";
@@ -45,6 +46,7 @@ export function App() {
       <main>
         <div class="work">
           <Shutter live={live} />
+          <Sequence live={live} />
           <LastPair live={live} />
         </div>
         <aside>

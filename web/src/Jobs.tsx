@@ -3,13 +3,13 @@ import type { Live } from "./live";
 import { jobState, jobTitle, words } from "./words";
 
 /** Kinds that are shown where they are asked for. */
-const ELSEWHERE = ["pair", "find_exposure"];
+const ELSEWHERE = ["pair", "develop", "find_exposure"];
 
 export function Jobs({ live }: { live: Live }) {
   const session = live.session;
   const jobs = live.jobs.filter((job) => !ELSEWHERE.includes(job.kind));
   const running = jobs.filter((job) => job.state === "running" || job.state === "queued");
-  const last = jobs.find((job) => job.state === "failed" || job.state === "done" || job.state === "cancelled");
+  const last = jobs.find((job) => job.state !== "queued" && job.state !== "running");
   const shown = last && !running.some((job) => job.id < last.id) ? [...running, last] : running;
   const missing = session
     ? [

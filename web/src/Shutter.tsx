@@ -3,6 +3,8 @@ import { api } from "./api";
 import type { Live } from "./live";
 import { LiveView } from "./LiveView";
 import { Reasons } from "./Reasons";
+import { SequenceGuide } from "./Sequence";
+import { currentSequence, stepOf } from "./sequence";
 import { words } from "./words";
 
 /** Fields and buttons that have their own use for the space bar. */
@@ -11,12 +13,14 @@ const BUSY_WITH_SPACE = "input, textarea, select, button, a, summary, [contented
 export function Shutter({ live }: { live: Live }) {
   const job = live.jobs.find((j) => j.kind === "pair" && (j.state === "running" || j.state === "queued"));
   const prompt = live.state?.prompt ?? null;
+  const step = stepOf(currentSequence(live));
   const asked = useRef(false);
 
   const take = async () => {
     if (asked.current || job) return;
     asked.current = true;
-    await live.attempt(api.takePair());
+    if (step) await (step.act && live.attempt(step.act()));
+    else await live.attempt(api.takePair());
     asked.current = false;
   };
   const confirm = () => live.attempt(api.confirm());
@@ -55,11 +59,12 @@ export function Shutter({ live }: { live: Live }) {
   return (
     <section class="shutter" aria-label={words.take}>
       <LiveView live={live} />
+      <SequenceGuide live={live} />
       {prompt === null ? (
-        <button type="button" class="big" aria-disabled={job !== undefined} onClick={() => void take()}>
+        <button type="button" class="big" aria-disabled={job !== undefined || step?.act === null} onClick={() => void take()}>
           <span class="ring" aria-hidden="true" />
           <span>
-            {job ? words.taking : words.take}
+            {job ? words.taking : (step?.label ?? words.take)}
             {!job && <small class="keys">{words.space}</small>}
           </span>
         </button>

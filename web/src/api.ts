@@ -1,5 +1,6 @@
 // What `docs/openapi.json` says, as far as the page uses it, and the few calls that it makes.
 
+import type { Sequence } from "./sequence";
 import { words } from "./words";
 
 export interface DeviceState {
@@ -64,7 +65,7 @@ export interface FlashAccount {
   repeatability?: Repeatability | null;
 }
 
-export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
+export type JobState = "queued" | "running" | "done" | "failed" | "cancelled" | "interrupted";
 
 export interface Job {
   id: number;
@@ -172,6 +173,8 @@ export interface State {
   session: string | null;
   jobs: Job[];
   prompt: string | null;
+  /** Of the sessions that are open. */
+  sequences: Sequence[];
   studio: Studio | null;
 }
 
@@ -204,6 +207,18 @@ async function call<T>(method: string, path: string, body?: unknown, signal?: Ab
   return (response.status === 204 ? undefined : await response.json()) as T;
 }
 
+/** A whole list, page by page. */
+async function all<T>(path: string): Promise<T[]> {
+  const entries: T[] = [];
+  let next: string | undefined = path;
+  while (next !== undefined) {
+    const response: Response = await ask(next, {});
+    entries.push(...((await response.json()) as T[]));
+    next = response.headers.get("Link")?.match(/<\/api\/v1([^>]+)>; rel="next"/)?.[1];
+  }
+  return entries;
+}
+
 const at = encodeURIComponent;
 
 export const api = {
@@ -211,7 +226,7 @@ export const api = {
   sessions: () => call<Session[]>("GET", "/sessions"),
   session: (name: string) => call<Session>("GET", `/sessions/${at(name)}`),
   openSession: (name: string) => call<Session>("POST", "/sessions", { name }),
-  pairs: (session: string) => call<Pair[]>("GET", `/sessions/${at(session)}/pairs`),
+  pairs: (session: string) => all<Pair>(`/sessions/${at(session)}/pairs`),
   flash: (session: string, signal: AbortSignal) =>
     call<FlashAccount>("GET", `/sessions/${at(session)}/flash`, undefined, signal),
   takePair: () => call<Job>("POST", "/pairs"),

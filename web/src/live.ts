@@ -2,6 +2,7 @@
 
 import { useCallback, useEffect, useRef, useState } from "preact/hooks";
 import { api, type Devices, type Job, type Pair, type Session, type State, type Studio } from "./api";
+import { type Sequence, withSequence } from "./sequence";
 
 export interface Live {
   connected: boolean;
@@ -101,6 +102,9 @@ export function useLive(): Live {
     on<Told<{ session: string }>>("pair", (told) => {
       if (told.data.session === current.current) void load(told.data.session);
     });
+    on<Told<Sequence>>("sequence", ({ data }) =>
+      setState((before) => before && { ...before, sequences: withSequence(before.sequences, data) }),
+    );
     on<Told<null>>("trouble", (told) => trouble(told.words));
     on<Told<Job>>("job", ({ data: job }) => {
       setState(

@@ -4,6 +4,7 @@ import "./style.css";
 import "./camera.css";
 import "./figures.css";
 import "./pairs.css";
+import "./sequence.css";
 
 const page = document.getElementById("page");
 if (page) render(<App />, page);

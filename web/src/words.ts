@@ -145,6 +145,7 @@ const kinds: Record<string, string> = {
   flash_shots: "Calibration shots",
   calibrate_flash: "Calibrating the flash",
   import_scene: "Importing the scene",
+  develop: "Developing the pair",
   process: "Making the model",
   find_exposure: "Finding the exposure",
   repeatability: "Measuring how steady the flash is",
@@ -160,6 +161,7 @@ const states: Record<Job["state"], string> = {
   done: "done",
   failed: "failed",
   cancelled: "cancelled",
+  interrupted: "interrupted",
 };
 
 export function jobState(job: Job): string {

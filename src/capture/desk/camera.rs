@@ -1,13 +1,14 @@
 //! The camera's own desk: which one, how it stands, at what exposure and where to look; live view; histograms.
 
-use super::{Desk, DeskError};
+use super::{Desk, DeskError, frame_of};
+use crate::capture::Devices;
 use crate::capture::engine::CameraState;
 use crate::capture::error::CaptureError;
 use crate::capture::events::Topic;
 use crate::capture::live::LivePicture;
 use crate::capture::place::{PlaceError, name_of};
 use crate::capture::thumbnail::ThumbnailError;
-use crate::capture::{Devices, Frame};
+use crate::pair::order::Slot;
 use crate::pair::{Exposure, Offered, Plan, Window};
 use crate::photometry::inspect::{self, Inspection};
 use crate::pipeline::saturation;
@@ -83,15 +84,12 @@ impl Desk {
     }
 
     /// Raw histograms and clipped shares of a stored frame, in the session's region of interest.
-    pub fn histograms(&self, session: &str, number: u32, frame: Frame) -> Result<Inspection, DeskError> {
-        let session = self.session(session)?;
+    pub fn histograms(&self, session: &str, number: u32, slot: Slot) -> Result<Inspection, DeskError> {
+        let session = self.reader(session)?;
         let record = self.pair(&session, number)?;
-        let file = match frame {
-            Frame::Off => &record.off.file,
-            Frame::On => &record.on.file,
-        };
+        let file = &frame_of(&record, slot)?.file;
         let measured = saturation::load(&session).map_err(PlaceError::from)?;
-        let photo = saturation::read(&session.pair_dir(number).join(file), &measured)
+        let photo = saturation::read(&session.pair_dir(&record).join(file), &measured)
             .map_err(ThumbnailError::from)?;
         let dn = &photo.mosaic.dn;
         let region = session.manifest().region.map(|window| window.sites(dn.width(), dn.height()));

@@ -3,9 +3,11 @@
 use super::NAME_LIMIT;
 use crate::capture::error::CaptureError;
 use crate::capture::place::PlaceError;
+use crate::capture::sequence::SequenceError;
 use crate::capture::thumbnail::ThumbnailError;
 use crate::jobs::{JobsError, WorkError};
 use crate::pair::WindowOutside;
+use crate::pair::order::Slot;
 use crate::pipeline::energy::EnergyError;
 use crate::progress::Cancelled;
 use crate::session::SessionError;
@@ -28,6 +30,22 @@ pub enum DeskError {
         session: String,
         /// The pair.
         number: u32,
+    },
+    /// No such file.
+    #[error("session {session:?} has no file {id:?}; its files are listed at /api/v1/sessions/NAME/files")]
+    NoSuchFile {
+        /// The session.
+        session: String,
+        /// What was asked for.
+        id: String,
+    },
+    /// No such frame.
+    #[error("pair {number} has no frame {slot}; its order has no place for it")]
+    NoSuchFrame {
+        /// The pair.
+        number: u32,
+        /// The frame.
+        slot: Slot,
     },
     /// Something to process is missing.
     #[error("session {session:?} cannot be processed yet: it has no {missing}")]
@@ -55,12 +73,24 @@ pub enum DeskError {
     /// The session's flash.
     #[error(transparent)]
     Energy(#[from] EnergyError),
+    /// The sequence.
+    #[error(transparent)]
+    Sequence(SequenceError),
     /// The queue.
     #[error(transparent)]
     Jobs(#[from] JobsError),
     /// A thumbnail could not be made.
     #[error(transparent)]
     Thumbnail(#[from] ThumbnailError),
+}
+
+impl From<SequenceError> for DeskError {
+    fn from(error: SequenceError) -> Self {
+        match error {
+            SequenceError::Session(error) => DeskError::Session(error),
+            other => DeskError::Sequence(other),
+        }
+    }
 }
 
 /// Brings the domains' errors under the queue's.

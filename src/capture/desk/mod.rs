@@ -3,28 +3,40 @@
 
 mod camera;
 mod error;
+mod glance;
+mod mirror;
+mod reading;
+mod resume;
+mod retry;
+mod sequences;
+mod verify;
 mod works;
 
 pub use error::DeskError;
+pub use glance::Glance;
 
+use super::Devices;
 use super::engine::{AfterPair, Engine};
 use super::events::{Events, Topic};
 use super::place::{CalibrationShot, PlaceError, name_of};
 use super::thumbnail;
-use super::{Devices, Frame};
-use crate::jobs::{Queue, WorkError};
-use crate::pair::{PairRecord, Plan, Verdict, Window};
+use crate::jobs::{Job, JobId, Ledger, Queue, WorkError};
+use crate::pair::order::Slot;
+use crate::pair::{FrameRecord, PairRecord, Plan, Verdict, Window};
 use crate::pipeline::energy::{self, FlashAccount};
 use crate::progress::Progress;
-use crate::session::{self, Room, Session, SessionError};
+use crate::session::{self, Lock, MirrorStatus, Records, Recovery, Room, Session, SessionError};
 use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 /// Longest session name, in characters; some file systems end at 255 bytes.
 const NAME_LIMIT: usize = 80;
+
+/// What the desk keeps for itself in the folder of the sessions.
+const OWN_FOLDER: &str = ".unlit";
 
 /// What the flash calibration is made from.
 #[derive(Clone, Debug, PartialEq)]
@@ -69,6 +81,8 @@ pub struct Works {
     pub has_scene: Question,
     /// Whether a flash calibration is there.
     pub has_flash_calibration: Question,
+    /// Whether everything is there that the model is made from, and the model is not, or not of that.
+    pub needs_processing: Question,
 }
 
 /// A session in a few words.
@@ -98,16 +112,21 @@ pub struct SessionSummary {
     pub results: Vec<String>,
     /// Room on its disk.
     pub room: Option<Room>,
-    /// What had to be put right when it was opened, in sentences; only of a session that is open for writing.
+    /// What had to be put right when it was opened, in sentences; of one that is not open, what will have to be.
     pub recovered: Vec<String>,
+    /// Its second copy; `None` without `--mirror`, and of a session that is not open for writing.
+    pub mirror: Option<MirrorStatus>,
     /// Why nothing else is known of it, if so.
     pub problem: Option<String>,
 }
 
 #[derive(Default)]
-
 struct Sessions {
     open: HashMap<String, Arc<Session>>,
+    /// What was read of their pairs, open or not.
+    records: HashMap<String, Records>,
+    /// What opening them put right.
+    recovered: HashMap<String, Recovery>,
     current: Option<String>,
 }
 
@@ -116,14 +135,27 @@ impl Sessions {
         if let Some(session) = self.open.get(name) {
             return Ok(session.clone());
         }
-        let session = Arc::new(found(Session::open(&place_of(folder, name)?), name)?);
+        let session = found(Session::open(&place_of(folder, name)?), name)?;
+        let session = Arc::new(session.remembering(&self.records(name)));
         let sentences = session.recovery().sentences(|_| false);
         if !sentences.is_empty() {
             let data = json!({ "code": "session_recovered", "session": name });
             events.tell(Topic::Recovery, sentences.join(" "), data);
+            self.recovered.insert(name.to_owned(), session.recovery().clone());
         }
         self.open.insert(name.to_owned(), session.clone());
         Ok(session)
+    }
+
+    /// A session that is not open, for a look. Locked only while the desk opens no other, so that no wish of this
+    /// program's own is refused for it.
+    fn peek(&mut self, folder: &Path, name: &str) -> Result<Session, DeskError> {
+        let session = found(Session::open_shared(&place_of(folder, name)?), name)?;
+        Ok(session.unlocked()?.remembering(&self.records(name)))
+    }
+
+    fn records(&mut self, name: &str) -> Records {
+        self.records.entry(name.to_owned()).or_default().clone()
     }
 }
 
@@ -147,11 +179,16 @@ struct Inner {
     works: Works,
     after_pair: Option<AfterPair>,
     sessions: Mutex<Sessions>,
+    sequences: sequences::Sequences,
+    /// Where second copies go, if that is wished.
+    mirrors: OnceLock<PathBuf>,
+    /// Held, never read: no second daemon works in this folder.
+    _alone: Lock,
 }
 
 /// The desk; clones share it.
 #[derive(Clone)]
-pub struct Desk(Arc<Inner>);
+pub struct Desk(Arc<Inner>, Option<JobId>);
 
 impl Desk {
     /// A desk over `engine` whose sessions live in `folder`. Jobs are told of through `events`.
@@ -163,8 +200,9 @@ impl Desk {
         after_pair: Option<AfterPair>,
     ) -> std::io::Result<Desk> {
         std::fs::create_dir_all(folder)?;
+        let alone = Lock::of_folder(folder).map_err(std::io::Error::other)?;
         let told = events.clone();
-        let queue = Queue::start(move |job| {
+        let notice = move |job: &Job| {
             if let Some(problem) = &job.problem {
                 told.tell(
                     Topic::Trouble,
@@ -173,10 +211,37 @@ impl Desk {
                 );
             }
             told.tell(Topic::Job, job.stage.clone(), json!(job));
-        })?;
+        };
+        let told = events.clone();
+        let trouble =
+            move |words: String| told.tell(Topic::Trouble, words, json!({ "code": "jobs_not_kept" }));
+        let queue = match Ledger::open(&folder.join(OWN_FOLDER), resume::words_on_interrupted) {
+            Ok(ledger) => Queue::resume(ledger, notice, trouble)?,
+            Err(error) => {
+                let words = format!("What jobs are asked for is not written down: {error}.");
+                tracing::warn!("{words}");
+                trouble(words);
+                Queue::start(notice)?
+            }
+        };
         let sessions = Mutex::default();
+        let sequences = Default::default();
         let folder = folder.canonicalize()?;
-        Ok(Desk(Arc::new(Inner { engine, queue, events, folder, works, after_pair, sessions })))
+        Ok(Desk(
+            Arc::new(Inner {
+                engine,
+                queue,
+                events,
+                folder,
+                works,
+                after_pair,
+                sessions,
+                sequences,
+                mirrors: OnceLock::new(),
+                _alone: alone,
+            }),
+            None,
+        ))
     }
 
     /// What happens.
@@ -236,13 +301,27 @@ impl Desk {
             sessions.current = Some(name.to_owned());
             (session, made)
         };
+        self.mirror(&session);
         self.0.events.tell(Topic::Session, format!("Session {name}."), json!({ "session": name }));
+        self.take_up_sequence(&session);
         Ok((session, made))
     }
 
     /// A session that is there; kept open, and thereby locked, from now on.
     pub fn session(&self, name: &str) -> Result<Arc<Session>, DeskError> {
-        self.sessions().get(&self.0.folder, name, &self.0.events)
+        let session = self.sessions().get(&self.0.folder, name, &self.0.events)?;
+        self.mirror(&session);
+        Ok(session)
+    }
+
+    /// Closes a session that nobody but its processing kept open.
+    fn let_go(&self, session: &Arc<Session>) {
+        let mut sessions = self.sessions();
+        let name = name_of(session);
+        // One is the desk's, one the job's.
+        if sessions.current.as_deref() != Some(&name) && Arc::strong_count(session) == 2 {
+            sessions.open.remove(&name);
+        }
     }
 
     /// The named session, else the current one, else the day's, made if need be.
@@ -258,6 +337,12 @@ impl Desk {
 
     /// All sessions of the folder, by name.
     pub fn summaries(&self) -> Result<Vec<SessionSummary>, DeskError> {
+        let names = self.names()?;
+        Ok(names.iter().map(|name| self.summary(name).unwrap_or_else(|e| unreadable(name, &e))).collect())
+    }
+
+    /// The names of all sessions of the folder, in order.
+    fn names(&self) -> Result<Vec<String>, DeskError> {
         let disk = |source| DeskError::Place(PlaceError::Disk { path: self.0.folder.clone(), source });
         let mut names = Vec::new();
         for entry in std::fs::read_dir(&self.0.folder).map_err(disk)? {
@@ -270,17 +355,15 @@ impl Desk {
             }
         }
         names.sort();
-        Ok(names.iter().map(|name| self.summary(name).unwrap_or_else(|e| unreadable(name, &e))).collect())
+        Ok(names)
     }
 
     /// One session in a few words. A session that is not open is opened for reading and closed again.
     pub fn summary(&self, name: &str) -> Result<SessionSummary, DeskError> {
-        let sessions = self.sessions();
-        let session = match sessions.open.get(name) {
-            Some(session) => session.clone(),
-            None => Arc::new(found(Session::open_shared(&place_of(&self.0.folder, name)?), name)?),
-        };
+        let mut sessions = self.sessions();
+        let session = sessions.reader(&self.0.folder, name)?;
         let current = sessions.current.as_deref() == Some(name);
+        let recovery = sessions.recovered.get(name).unwrap_or(session.recovery()).clone();
         // Whoever asks for a session must not wait for this one's disk.
         drop(sessions);
         let manifest = session.manifest();
@@ -303,34 +386,58 @@ impl Desk {
                 .map(str::to_owned)
                 .collect(),
             room: session.room_after(&pairs).ok(),
-            recovered: session.recovery().sentences(|name| pairs.iter().any(|p| p.name == name)),
+            recovered: recovery.sentences(|pair| pair.is_among(&pairs)),
+            mirror: session.mirror(),
             problem: None,
         })
     }
 
     /// A pair's small JPEG, made from the raw when it is first asked for.
-    pub fn thumbnail(&self, session: &str, number: u32, frame: Frame) -> Result<PathBuf, DeskError> {
-        let session = self.session(session)?;
+    pub fn thumbnail(&self, session: &str, number: u32, slot: Slot) -> Result<PathBuf, DeskError> {
+        let session = self.reader(session)?;
         let record = self.pair(&session, number)?;
-        Ok(thumbnail::of_frame(&session, &record, frame)?)
+        Ok(thumbnail::of_frame(&session, &record, frame_of(&record, slot)?)?)
     }
 
     /// What a session's pairs tell of the flash.
     pub fn flash_account(&self, session: &str) -> Result<FlashAccount, DeskError> {
-        Ok(energy::account(&*self.session(session)?)?)
+        Ok(energy::account(&*self.reader(session)?)?)
     }
 
     fn pair(&self, session: &Session, number: u32) -> Result<PairRecord, DeskError> {
-        if !session.pair_dir(number).is_dir() {
-            return Err(DeskError::NoSuchPair { session: name_of(session), number });
+        match session.pair(number) {
+            Err(SessionError::NoSuchPair { .. }) => {
+                Err(DeskError::NoSuchPair { session: name_of(session), number })
+            }
+            other => Ok(other?),
         }
-        Ok(session.pair(number)?)
     }
 
-    /// Cancels everything and waits a moment for it to end; says whether it did.
-    pub fn close(&self, patience: Duration) -> bool {
-        self.0.queue.shut_down(patience)
+    /// A small JPEG of the light that the flash alone threw, made when it is first asked for.
+    pub fn known_light(&self, session: &str, number: u32) -> Result<PathBuf, DeskError> {
+        let session = self.reader(session)?;
+        let record = self.pair(&session, number)?;
+        Ok(thumbnail::of_known_light(&session, &record)?)
     }
+
+    /// Takes no more jobs, cancels everything and waits a moment for it to end; says whether it did. A pair that is
+    /// being stored is stored; the gate is closed in any case.
+    pub fn close(&self, patience: Duration) -> bool {
+        self.pause_sequences();
+        let ended = self.0.queue.shut_down(patience);
+        self.0.engine.close_gate();
+        ended
+    }
+
+    /// Closes the gate now, whoever uses the rig.
+    pub fn close_gate(&self) {
+        self.0.engine.close_gate();
+    }
+}
+
+/// A frame of a pair, which need not have all there may be.
+fn frame_of(record: &PairRecord, slot: Slot) -> Result<&FrameRecord, DeskError> {
+    record.frame(slot).ok_or(DeskError::NoSuchFrame { number: record.number, slot })
 }
 
 fn unreadable(name: &str, error: &DeskError) -> SessionSummary {
@@ -348,6 +455,7 @@ fn unreadable(name: &str, error: &DeskError) -> SessionSummary {
         results: Vec::new(),
         room: None,
         recovered: Vec::new(),
+        mirror: None,
         problem: Some(error.to_string()),
     }
 }

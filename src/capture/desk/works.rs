@@ -6,29 +6,75 @@ use crate::capture::events::Topic;
 use crate::capture::find::ExposureWish;
 use crate::capture::place::{calibration_shots, name_of};
 use crate::capture::repeat::words_on_repeatability;
-use crate::jobs::{Job, Lane, Order, Work};
+use crate::capture::thumbnail::{self, ThumbnailError};
+use crate::capture::wish::PairWish;
+use crate::jobs::{Job, Lane, Order, Work, WorkError};
 use crate::pair::energy::FEWEST_SHOTS;
-use crate::pair::{Exposure, Plan, Verdict};
+use crate::pair::{Exposure, PairRecord, Plan, Verdict};
 use crate::progress::Progress;
 use crate::session::Session;
 use serde_json::{Value, json};
 use std::sync::Arc;
+use std::time::Duration;
+
+/// A whole solve begins unasked once no pair was shot for this long: while the photographer shoots, it would be of
+/// yesterday as soon as it is done.
+pub(super) const REST: Duration = Duration::from_secs(5);
 
 /// More would take a day.
 const MOST_SHOTS: usize = 1000;
 
+/// How a wish is queued.
+pub(super) struct Ask {
+    kind: &'static str,
+    lane: Lane,
+    coalesce: bool,
+    rest: Duration,
+    order: Option<Value>,
+    durable: bool,
+    let_go: bool,
+}
+
+impl Ask {
+    /// Somebody's wish, which he is told was taken.
+    pub(super) fn new(kind: &'static str, lane: Lane) -> Self {
+        Self { kind, lane, coalesce: false, rest: Duration::ZERO, order: None, durable: true, let_go: false }
+    }
+
+    /// It can be asked for again ([`Desk::retry`]) with this.
+    pub(super) fn again(self, order: Value) -> Self {
+        Self { order: Some(order), ..self }
+    }
+
+    /// Whoever asks for the same before it begins gets this one.
+    pub(super) fn coalescing(self) -> Self {
+        Self { coalesce: true, ..self }
+    }
+
+    /// The house's own wish, once the rig has been at rest for so long.
+    pub(super) fn unasked(self, rest: Duration) -> Self {
+        Self { rest, durable: false, ..self }
+    }
+
+    /// The session was opened for this alone, and is closed again afterwards.
+    pub(super) fn letting_go(self) -> Self {
+        Self { let_go: true, ..self }
+    }
+}
+
 impl Desk {
-    /// Takes the next pair of the named, current or day's session.
-    pub fn take_pair(&self, session: Option<&str>) -> Result<Job, DeskError> {
+    /// Takes the next pair of the named, current or day's session, or a rejected one again. What cannot be wished for is
+    /// refused at once.
+    pub fn take_pair(&self, session: Option<&str>, wish: PairWish) -> Result<Job, DeskError> {
         let session = self.session_for_pair(session)?;
+        wish.program(&session)?;
         let desk = self.clone();
-        self.enqueue("pair", &session.clone(), Lane::Rig, false, move |progress| {
+        self.ask(Ask::new("pair", Lane::Rig).again(json!(wish)), &session.clone(), move |progress| {
             let after_pair = desk.0.after_pair.as_ref();
-            let record = desk.0.engine.shoot_pair(&session, after_pair, progress)?;
-            if record.verdict == Verdict::Accepted {
-                desk.process_if_ready(&session);
-            }
-            Ok(json!({ "session": name_of(&session), "number": record.number, "verdict": record.verdict }))
+            let record = desk.0.engine.shoot_pair_as(&session, wish, after_pair, progress)?;
+            desk.go_on_from(&session, &record);
+            let (number, attempt, verdict) = (record.number, record.attempt, record.verdict);
+            Ok(json!({ "session": name_of(&session), "number": number, "attempt": attempt, "verdict": verdict }))
         })
     }
 
@@ -42,7 +88,8 @@ impl Desk {
         }
         let session = self.session(session)?;
         let desk = self.clone();
-        self.enqueue("find_exposure", &session.clone(), Lane::Rig, false, move |progress| {
+        let ask = Ask::new("find_exposure", Lane::Rig).again(json!(wish));
+        self.ask(ask, &session.clone(), move |progress| {
             let found = desk.0.engine.find_exposure(&session, wish, progress)?;
             desk.tell_session(&session);
             let exposure =
@@ -68,7 +115,8 @@ impl Desk {
         }
         let session = self.session(session)?;
         let desk = self.clone();
-        self.enqueue("flash_shots", &session.clone(), Lane::Rig, false, move |progress| {
+        let ask = Ask::new("flash_shots", Lane::Rig).again(json!(distance_m));
+        self.ask(ask, &session.clone(), move |progress| {
             let shot = desk.0.engine.shoot_card(&session, distance_m, progress)?;
             Ok(json!({ "session": name_of(&session), "name": shot.name, "reasons": shot.reasons }))
         })
@@ -83,7 +131,8 @@ impl Desk {
         }
         let session = self.session(session)?;
         let desk = self.clone();
-        self.enqueue("repeatability", &session.clone(), Lane::Rig, false, move |progress| {
+        let ask = Ask::new("repeatability", Lane::Rig).again(json!(shots));
+        self.ask(ask, &session.clone(), move |progress| {
             let run = desk.0.engine.repeatability(&session, shots, progress)?;
             Ok(json!({
                 "words": words_on_repeatability(&run),
@@ -125,7 +174,9 @@ impl Desk {
         }
         let desk = self.clone();
         let card = FlashCard { target_reflectance, ring_radii, shots };
-        self.enqueue("calibrate_flash", &session.clone(), Lane::Processing, false, move |progress| {
+        let ask =
+            Ask::new("calibrate_flash", Lane::Processing).again(json!([target_reflectance, ring_radii]));
+        self.ask(ask, &session.clone(), move |progress| {
             let result = (desk.0.works.calibrate_flash)(&session, card, progress)?;
             desk.process_if_ready(&session);
             Ok(result)
@@ -150,10 +201,51 @@ impl Desk {
         if !missing.is_empty() {
             return Err(DeskError::NotReady { session: name_of(&session), missing: missing.join(", no ") });
         }
-        self.enqueue_process(&session)
+        self.enqueue_process(&session, Ask::new("process", Lane::Processing))
     }
 
-    fn missing(&self, session: &Session) -> Result<Vec<&'static str>, DeskError> {
+    /// Makes what a page shows of a pair: small JPEGs of both frames and of the light that the flash alone threw.
+    pub fn develop(&self, session: &str, number: u32) -> Result<Job, DeskError> {
+        let session = self.session(session)?;
+        self.pair(&session, number)?;
+        self.enqueue_develop(&session, number, Ask::new("develop", Lane::Develop))
+    }
+
+    /// Sets off what an accepted pair makes possible.
+    pub(super) fn go_on_from(&self, session: &Arc<Session>, record: &PairRecord) {
+        if record.verdict == Verdict::Accepted {
+            self.develop_unasked(session, record.number);
+            self.process_if_ready(session);
+        }
+    }
+
+    fn develop_unasked(&self, session: &Arc<Session>, number: u32) {
+        let ask = Ask::new("develop", Lane::Develop).unasked(Duration::ZERO);
+        if let Err(error) = self.enqueue_develop(session, number, ask) {
+            // The page has them made when it shows them.
+            tracing::warn!("pair {number} of {} is not developed ahead: {error}", name_of(session));
+        }
+    }
+
+    fn enqueue_develop(&self, session: &Arc<Session>, number: u32, ask: Ask) -> Result<Job, DeskError> {
+        let own = session.clone();
+        self.ask(ask.again(json!(number)), session, move |progress| {
+            let unreadable = |e: ThumbnailError| WorkError::failed("frame_unreadable", e);
+            let record = own.pair(number).map_err(|e| WorkError::failed("session_unreadable", e))?;
+            let frames: Vec<_> = record.frames().collect();
+            let steps = frames.len() + 1;
+            for (done, (_, frame)) in frames.into_iter().enumerate() {
+                progress.report("Developing the pair", done, steps);
+                progress.check().map_err(WorkError::from)?;
+                thumbnail::of_frame(&own, &record, frame).map_err(unreadable)?;
+            }
+            progress.report("Developing the pair", steps - 1, steps);
+            thumbnail::of_known_light(&own, &record).map_err(unreadable)?;
+            Ok(json!({ "session": name_of(&own), "number": number }))
+        })
+    }
+
+    pub(super) fn missing(&self, session: &Session) -> Result<Vec<&'static str>, DeskError> {
         let works = &self.0.works;
         let mut missing = Vec::new();
         if !(works.has_scene)(session) {
@@ -169,10 +261,13 @@ impl Desk {
     }
 
     /// Starts processing unasked once everything is there.
-    fn process_if_ready(&self, session: &Arc<Session>) {
+    pub(super) fn process_if_ready(&self, session: &Arc<Session>) {
         let started = match self.missing(session) {
             Ok(missing) if !missing.is_empty() => return,
-            Ok(_) => self.enqueue_process(session).map(drop),
+            Ok(_) => {
+                let ask = Ask::new("process", Lane::Processing).unasked(REST);
+                self.enqueue_process(session, ask).map(drop)
+            }
             Err(error) => Err(error),
         };
         if let Err(error) = started {
@@ -181,10 +276,16 @@ impl Desk {
         }
     }
 
-    fn enqueue_process(&self, session: &Arc<Session>) -> Result<Job, DeskError> {
+    pub(super) fn enqueue_process(&self, session: &Arc<Session>, ask: Ask) -> Result<Job, DeskError> {
         let (desk, own) = (self.clone(), session.clone());
-        self.enqueue("process", session, Lane::Processing, true, move |progress| {
-            Ok((desk.0.works.process)(&own, (), progress)?)
+        let ask = ask.again(json!({})).coalescing();
+        let let_go = ask.let_go;
+        self.ask(ask, session, move |progress| {
+            let outcome = (desk.0.works.process)(&own, (), progress);
+            if let_go {
+                desk.let_go(&own);
+            }
+            Ok(outcome?)
         })
     }
 
@@ -196,7 +297,22 @@ impl Desk {
         coalesce: bool,
         work: impl FnOnce(&Progress) -> Result<Value, JobError> + Send + 'static,
     ) -> Result<Job, DeskError> {
+        self.ask(Ask { coalesce, ..Ask::new(kind, lane) }, session, work)
+    }
+
+    /// Queues a job as `ask` says.
+    pub(super) fn ask(
+        &self,
+        ask: Ask,
+        session: &Session,
+        work: impl FnOnce(&Progress) -> Result<Value, JobError> + Send + 'static,
+    ) -> Result<Job, DeskError> {
+        let Ask { kind, lane, coalesce, rest, order, durable, .. } = ask;
+        // What a retried job sets off is no retry.
+        let again = self.1.filter(|id| self.0.queue.get(*id).is_ok_and(|job| job.kind == kind));
         let work: Work = Box::new(move |progress| work(progress).map_err(|JobError(error)| error));
-        Ok(self.0.queue.enqueue(Order { kind, subject: name_of(session), lane, coalesce, work })?)
+        let subject = name_of(session);
+        let order = Order { kind, subject, lane, coalesce, rest, order, retry_of: again, durable, work };
+        Ok(self.0.queue.enqueue(order)?)
     }
 }

@@ -1,8 +1,8 @@
 //! The camera: which one, how it stands, its live picture, exposure and region, histograms.
 
-use super::jobs::accepted;
+use super::blocking;
+use super::jobs::{Ordered, ordered};
 use super::pairs::FrameName;
-use super::{blocking, wishes};
 use crate::capture::LivePicture;
 use crate::http::App;
 use crate::http::bodies::{DevicesBody, JobBody};
@@ -10,11 +10,13 @@ use crate::http::camera_bodies::{
     CameraBody, CameraChoice, CameraListBody, ConfirmedBody, ExposureOrder, FindOrder, FrameFiguresBody,
     PlanBody, WindowBody,
 };
+use crate::http::extract;
+use crate::http::extract::{Path, Wishes};
+use crate::http::idempotency::Key;
 use crate::http::problem::{Problem, ProblemBody};
 use axum::Json;
 use axum::body::{Body, Bytes};
-use axum::extract::rejection::{JsonRejection, PathRejection};
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use std::time::Duration;
@@ -30,7 +32,8 @@ const BOUNDARY: &str = "unlit-live";
 /// The cameras that can be opened now, and which one is in use.
 #[utoipa::path(get, path = "/api/v1/cameras", tag = "capture",
     responses((status = 200, body = Vec<CameraListBody>),
-        (status = 503, body = ProblemBody, content_type = "application/problem+json")))]
+        (status = 409, description = "The camera cannot be used: `camera_not_found`, `camera_busy` or another code of a camera or its lock", body = ProblemBody,
+            content_type = "application/problem+json")))]
 pub(super) async fn list(State(app): State<App>) -> Result<Json<Vec<CameraListBody>>, Problem> {
     blocking(move || {
         let in_use = app.desk.devices().camera.description;
@@ -44,7 +47,8 @@ pub(super) async fn list(State(app): State<App>) -> Result<Json<Vec<CameraListBo
 /// lock also sets what can be set.
 #[utoipa::path(get, path = "/api/v1/camera", tag = "capture",
     responses((status = 200, body = CameraBody),
-        (status = 503, body = ProblemBody, content_type = "application/problem+json")))]
+        (status = 409, description = "The camera cannot be used: `camera_not_found`, `camera_busy` or another code of a camera or its lock", body = ProblemBody,
+            content_type = "application/problem+json")))]
 pub(super) async fn state(State(app): State<App>) -> Result<Json<CameraBody>, Problem> {
     blocking(move || Ok(Json(app.desk.camera_state()?.into()))).await
 }
@@ -52,19 +56,21 @@ pub(super) async fn state(State(app): State<App>) -> Result<Json<CameraBody>, Pr
 /// Uses the camera on this port from now on.
 #[utoipa::path(put, path = "/api/v1/camera", tag = "capture", request_body = CameraChoice,
     responses((status = 200, body = DevicesBody),
-        (status = 400, body = ProblemBody, content_type = "application/problem+json")))]
+        (status = 409, description = "The camera cannot be used: `camera_not_found`, `camera_busy` or another code of a camera or its lock", body = ProblemBody,
+            content_type = "application/problem+json")))]
 pub(super) async fn choose(
     State(app): State<App>,
-    choice: Result<Json<CameraChoice>, JsonRejection>,
+    extract::Json(choice): extract::Json<CameraChoice>,
 ) -> Result<Json<DevicesBody>, Problem> {
-    let Json(choice) = choice?;
     blocking(move || Ok(Json(app.desk.choose_camera(&choice.port)?.into()))).await
 }
 
 /// The live picture as a stream of JPEGs (`multipart/x-mixed-replace`, what an `img` element shows). A slow
 /// client gets fewer pictures, never old ones. The stream ends when there is trouble; the page asks again.
 #[utoipa::path(get, path = "/api/v1/live.mjpg", tag = "capture",
-    responses((status = 200, body = Vec<u8>, content_type = "multipart/x-mixed-replace")))]
+    responses((status = 200, body = Vec<u8>, content_type = "multipart/x-mixed-replace"),
+        (status = 409, description = "`no_live_picture`", body = ProblemBody,
+            content_type = "application/problem+json")))]
 pub(super) async fn live(State(app): State<App>) -> Result<Response, Problem> {
     let mut watcher = app.desk.watch_live().map_err(Problem::internal)?;
     let mut closing = app.closing.clone();
@@ -112,21 +118,22 @@ async fn next_picture(
                 LivePicture::None => {}
                 LivePicture::Jpeg(jpeg) => return Ok(jpeg),
                 LivePicture::Trouble(words) => {
-                    return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "no_live_picture", words));
+                    return Err(Problem::new(StatusCode::CONFLICT, "no_live_picture", words));
                 }
             }
         }
     };
     tokio::time::timeout(FIRST_PICTURE, wait).await.unwrap_or_else(|_| {
         let words = format!("no live picture came within {FIRST_PICTURE:?}; is a pair being shot?");
-        Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "no_live_picture", words))
+        Err(Problem::new(StatusCode::CONFLICT, "no_live_picture", words))
     })
 }
 
 /// One live picture, for scripts.
 #[utoipa::path(get, path = "/api/v1/live.jpg", tag = "capture",
     responses((status = 200, body = Vec<u8>, content_type = "image/jpeg"),
-        (status = 503, body = ProblemBody, content_type = "application/problem+json")))]
+        (status = 409, description = "`no_live_picture`", body = ProblemBody,
+            content_type = "application/problem+json")))]
 pub(super) async fn still(State(app): State<App>) -> Result<Response, Problem> {
     let mut watcher = app.desk.watch_live().map_err(Problem::internal)?;
     let jpeg = next_picture(&mut watcher).await?;
@@ -140,17 +147,16 @@ pub(super) async fn still(State(app): State<App>) -> Result<Response, Problem> {
 
 /// Sets the exposures at which the session's pairs are shot from now on. Values are the camera's labels.
 #[utoipa::path(put, path = "/api/v1/sessions/{session}/exposure", tag = "capture",
-    params(("session" = String, Path, description = "Name of the session")), request_body = ExposureOrder,
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath")),
+    request_body = ExposureOrder,
     responses((status = 200, body = PlanBody),
-        (status = 400, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 503, body = ProblemBody, content_type = "application/problem+json")))]
+        (status = 409, description = "The session or the camera cannot be used: `session_locked`, `camera_not_found`, `camera_busy` or another code of a camera or its lock", body = ProblemBody,
+            content_type = "application/problem+json")))]
 pub(super) async fn set_exposure(
     State(app): State<App>,
-    session: Result<Path<String>, PathRejection>,
-    order: Result<Json<ExposureOrder>, JsonRejection>,
+    Path(session): Path<String>,
+    extract::Json(order): extract::Json<ExposureOrder>,
 ) -> Result<Json<PlanBody>, Problem> {
-    let (Path(session), Json(order)) = (session?, order?);
     blocking(move || {
         let plan = app.desk.set_plan(&session, order.on.into(), order.off.map(Into::into))?;
         Ok(Json(plan.into()))
@@ -162,34 +168,29 @@ pub(super) async fn set_exposure(
 /// the session's. The job's `result` has `exposure` (as PUT exposure answers), `predicted_share`, `ambient_share`, `flash_share`,
 /// `shots` and `warnings`.
 #[utoipa::path(post, path = "/api/v1/sessions/{session}/find-exposure", tag = "capture",
-    params(("session" = String, Path, description = "Name of the session")),
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath"),
+        ("Idempotency-Key" = Option<String>, Header, description = "One wish, one job, however often it is sent")),
     request_body(content = Option<FindOrder>, description = "May be empty"),
-    responses((status = 202, description = "queued", body = JobBody, headers(("Location" = String))),
-        (status = 400, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 503, body = ProblemBody, content_type = "application/problem+json")))]
+    responses((status = 202, description = "queued", body = JobBody, headers(("Location" = String), ("Idempotency-Replayed" = Option<String>)))))]
 pub(super) async fn find_exposure(
     State(app): State<App>,
-    session: Result<Path<String>, PathRejection>,
-    body: Bytes,
-) -> Result<Response, Problem> {
-    let Path(session) = session?;
-    let order: FindOrder = wishes(&body)?;
-    Ok(accepted(blocking(move || app.desk.find_exposure(&session, order.into())).await?))
+    Path(session): Path<String>,
+    key: Key,
+    Wishes(order): Wishes<FindOrder>,
+) -> Result<Ordered, Problem> {
+    ordered(&app, key.with(&order)?, move |desk| desk.find_exposure(&session, order.into())).await
 }
 
 /// Sets where the object is in the frame, for exposure and checks; `null` is the whole frame.
 #[utoipa::path(put, path = "/api/v1/sessions/{session}/region", tag = "capture",
-    params(("session" = String, Path, description = "Name of the session")), request_body = Option<WindowBody>,
-    responses((status = 204, description = "set"),
-        (status = 400, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json")))]
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath")),
+    request_body = Option<WindowBody>,
+    responses((status = 204, description = "set")))]
 pub(super) async fn set_region(
     State(app): State<App>,
-    session: Result<Path<String>, PathRejection>,
-    region: Result<Json<Option<WindowBody>>, JsonRejection>,
+    Path(session): Path<String>,
+    extract::Json(region): extract::Json<Option<WindowBody>>,
 ) -> Result<StatusCode, Problem> {
-    let (Path(session), Json(region)) = (session?, region?);
     blocking(move || {
         app.desk.set_region(&session, region.map(Into::into))?;
         Ok(StatusCode::NO_CONTENT)
@@ -200,31 +201,28 @@ pub(super) async fn set_region(
 /// The operator has checked by eye what the camera does not tell (items of the lock that are `unreadable`).
 /// Answers all that is confirmed for the session.
 #[utoipa::path(post, path = "/api/v1/sessions/{session}/confirmed", tag = "capture",
-    params(("session" = String, Path, description = "Name of the session")), request_body = ConfirmedBody,
-    responses((status = 200, body = ConfirmedBody),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json")))]
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath")),
+    request_body = ConfirmedBody,
+    responses((status = 200, body = ConfirmedBody)))]
 pub(super) async fn confirm(
     State(app): State<App>,
-    session: Result<Path<String>, PathRejection>,
-    names: Result<Json<ConfirmedBody>, JsonRejection>,
+    Path(session): Path<String>,
+    extract::Json(names): extract::Json<ConfirmedBody>,
 ) -> Result<Json<ConfirmedBody>, Problem> {
-    let (Path(session), Json(names)) = (session?, names?);
     blocking(move || Ok(Json(ConfirmedBody { names: app.desk.confirm_settings(&session, &names.names)? })))
         .await
 }
 
 /// Histograms of a stored frame's sensor values, a colour each, with clipped shares, in the session's region.
 #[utoipa::path(get, path = "/api/v1/sessions/{session}/pairs/{number}/{frame}/histogram", tag = "capture",
-    params(("session" = String, Path, description = "Name of the session"),
-        ("number" = u32, Path, description = "Number of the pair"),
-        ("frame" = FrameName, Path, description = "`off` or `on`")),
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath"),
+        ("number" = u32, Path, description = "Number of the pair", example = 1),
+        ("frame" = FrameName, Path, description = "`off`, `on`, `off-2`, `after` and so on")),
     responses((status = 200, body = FrameFiguresBody),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 422, body = ProblemBody, content_type = "application/problem+json")))]
+        (status = 422, description = "`frame_unreadable`", body = ProblemBody, content_type = "application/problem+json")))]
 pub(super) async fn histogram(
     State(app): State<App>,
-    path: Result<Path<(String, u32, FrameName)>, PathRejection>,
+    Path((session, number, frame)): Path<(String, u32, FrameName)>,
 ) -> Result<Json<FrameFiguresBody>, Problem> {
-    let Path((session, number, frame)) = path?;
-    blocking(move || Ok(Json(app.desk.histograms(&session, number, frame.into())?.into()))).await
+    blocking(move || Ok(Json(app.desk.histograms(&session, number, frame.0)?.into()))).await
 }

@@ -5,41 +5,46 @@ mod events;
 mod files;
 mod flash;
 mod jobs;
-mod pairs;
+mod pairing;
+pub(super) mod pairs;
 mod processing;
+mod sequences;
 mod sessions;
+mod status;
 mod studio;
+mod verify;
 
 use super::App;
+use super::intake;
 use super::problem::Problem;
-use crate::capture::{DeskError, PlaceError};
+use crate::capture::{CaptureError, DeskError, PlaceError, ThumbnailError};
 use crate::jobs::JobsError;
 use crate::session::SessionError;
 use axum::extract::DefaultBodyLimit;
 use axum::http::{Method, StatusCode, Uri};
-use serde::de::DeserializeOwned;
+use axum::middleware::from_fn;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
-
-/// Largest scene upload in bytes; every other body must fit into axum's 2 MB.
-const UPLOAD_LIMIT: usize = 1 << 30;
 
 /// All routes of the API.
 pub(super) fn all() -> OpenApiRouter<App> {
     let uploads = OpenApiRouter::new()
         .routes(routes!(processing::import_scene))
-        .layer(DefaultBodyLimit::max(UPLOAD_LIMIT));
+        .layer(DefaultBodyLimit::disable())
+        .layer(from_fn(intake::upload));
     OpenApiRouter::new()
-        .merge(uploads)
         .routes(routes!(sessions::devices))
+        .routes(routes!(status::status))
         .routes(routes!(sessions::list, sessions::enter))
         .routes(routes!(sessions::one))
         .routes(routes!(pairs::list))
+        .routes(routes!(pairs::one))
         .routes(routes!(pairs::take))
         .routes(routes!(pairs::thumbnail))
         .routes(routes!(pairs::confirm))
         .routes(routes!(jobs::list))
         .routes(routes!(jobs::one, jobs::cancel))
+        .routes(routes!(jobs::retry))
         .routes(routes!(camera::list))
         .routes(routes!(camera::state, camera::choose))
         .routes(routes!(camera::live))
@@ -51,13 +56,22 @@ pub(super) fn all() -> OpenApiRouter<App> {
         .routes(routes!(camera::histogram))
         .routes(routes!(flash::account))
         .routes(routes!(flash::repeatability))
+        .routes(routes!(sequences::state, sequences::plan, sequences::remove))
+        .routes(routes!(sequences::direct))
         .routes(routes!(events::listen))
+        .routes(routes!(files::list))
         .routes(routes!(files::fetch))
         .routes(routes!(processing::shoot_card))
         .routes(routes!(processing::calibrate_flash))
         .routes(routes!(processing::process))
+        .routes(routes!(verify::verify))
         .routes(routes!(studio::describe))
         .routes(routes!(studio::direct))
+        .routes(routes!(pairing::state, pairing::pair, pairing::leave))
+        .routes(routes!(pairing::ticket))
+        // What takes files is merged after this layer: it has its own.
+        .layer(from_fn(intake::json))
+        .merge(uploads)
 }
 
 pub(super) async fn nothing_here(uri: Uri) -> Problem {
@@ -79,43 +93,51 @@ impl From<DeskError> for Problem {
             DeskError::BadName(_) => (StatusCode::BAD_REQUEST, "session_name_invalid"),
             DeskError::BadValue(_) => (StatusCode::BAD_REQUEST, "value_invalid"),
             DeskError::Window(_) => (StatusCode::BAD_REQUEST, "region_invalid"),
-            DeskError::Capture(error) => (StatusCode::SERVICE_UNAVAILABLE, error.code()),
+            DeskError::Capture(
+                error @ (CaptureError::NoThread(_) | CaptureError::Place(_) | CaptureError::Saturation(_)),
+            ) => (StatusCode::INTERNAL_SERVER_ERROR, error.code()),
+            // A camera that is missing or asleep is a state of the house that one must reckon with.
+            DeskError::Capture(error) => (StatusCode::CONFLICT, error.code()),
             DeskError::NoSuchSession(_) => (StatusCode::NOT_FOUND, "session_not_found"),
             DeskError::NoSuchPair { .. } => (StatusCode::NOT_FOUND, "pair_not_found"),
+            DeskError::NoSuchFile { .. } => (StatusCode::NOT_FOUND, "file_not_found"),
+            DeskError::NoSuchFrame { .. } => (StatusCode::NOT_FOUND, "frame_not_found"),
             DeskError::NotReady { .. } => (StatusCode::CONFLICT, "inputs_missing"),
             DeskError::Session(error) | DeskError::Place(PlaceError::Session(error)) => match error {
+                SessionError::NoSuchPair { .. } => (StatusCode::NOT_FOUND, "pair_not_found"),
+                SessionError::PairAccepted { .. } => (StatusCode::CONFLICT, "pair_accepted"),
                 SessionError::Locked { .. } => (StatusCode::CONFLICT, "session_locked"),
                 SessionError::NotEmpty { .. } => (StatusCode::CONFLICT, "folder_not_empty"),
+                SessionError::NoRoom { .. } => (StatusCode::CONFLICT, "disk_full"),
                 SessionError::Damaged { .. } => (StatusCode::INTERNAL_SERVER_ERROR, "session_damaged"),
                 SessionError::TooNew { .. } => (StatusCode::CONFLICT, "session_too_new"),
                 _ => (StatusCode::INTERNAL_SERVER_ERROR, "session_failed"),
             },
+            DeskError::Sequence(error) => sequences::answer_to(error),
             DeskError::Energy(_) => (StatusCode::INTERNAL_SERVER_ERROR, "session_unreadable"),
+            DeskError::Place(PlaceError::Order(_)) => (StatusCode::BAD_REQUEST, "order_invalid"),
             DeskError::Place(_) => (StatusCode::INTERNAL_SERVER_ERROR, "disk_failed"),
-            DeskError::Jobs(JobsError::Full | JobsError::Closed) => {
-                (StatusCode::SERVICE_UNAVAILABLE, "queue_full")
-            }
+            DeskError::Jobs(JobsError::Full) => (StatusCode::TOO_MANY_REQUESTS, "queue_full"),
+            DeskError::Jobs(JobsError::Closed) => (StatusCode::SERVICE_UNAVAILABLE, "closing"),
             DeskError::Jobs(JobsError::Unknown(_)) => (StatusCode::NOT_FOUND, "job_not_found"),
             DeskError::Jobs(JobsError::Finished(_)) => (StatusCode::CONFLICT, "job_finished"),
+            DeskError::Jobs(JobsError::NotRetryable(_)) => (StatusCode::CONFLICT, "job_not_retryable"),
+            DeskError::Jobs(JobsError::NotRepeatable(..)) => (StatusCode::CONFLICT, "job_not_repeatable"),
+            DeskError::Thumbnail(ThumbnailError::Disk { .. }) => {
+                (StatusCode::INTERNAL_SERVER_ERROR, "disk_failed")
+            }
             DeskError::Thumbnail(_) => (StatusCode::UNPROCESSABLE_ENTITY, "frame_unreadable"),
         };
         Problem::new(status, code, error)
     }
 }
 
-/// A body of JSON that may be left out: no body means no wishes, whatever the content type says.
-fn wishes<T: Default + DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
-    if body.is_empty() {
-        return Ok(T::default());
-    }
-    serde_json::from_slice(body).map_err(|e| Problem::bad_request("body_invalid", e))
-}
-
 /// Runs what may wait for a disk or a device on a thread that may block.
 async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, DeskError> + Send + 'static,
 ) -> Result<T, Problem> {
-    match tokio::task::spawn_blocking(work).await {
+    let span = tracing::Span::current();
+    match tokio::task::spawn_blocking(move || span.in_scope(work)).await {
         Ok(outcome) => Ok(outcome?),
         Err(panic) => Err(Problem::internal(format!("the handler stumbled: {panic}"))),
     }

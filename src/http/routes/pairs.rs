@@ -1,32 +1,55 @@
 //! Pairs: taking them, listing them, looking at them.
 
-use super::jobs::{accepted, ended};
-use super::{blocking, wishes};
-use crate::capture::Frame;
+use super::blocking;
+use super::jobs::ordered;
+use crate::capture::{DeskError, PairWish};
 use crate::http::App;
 use crate::http::bodies::{JobBody, PairBody, PairOrder};
+use crate::http::extract::{Path, Query, Wishes};
+use crate::http::idempotency::Key;
+use crate::http::links;
+use crate::http::paging::{Page, PageOrder};
 use crate::http::problem::{Problem, ProblemBody};
+use crate::pair::order::{OrderError, Slot};
 use axum::Json;
-use axum::body::Bytes;
-use axum::extract::rejection::{PathRejection, QueryRejection};
-use axum::extract::{Path, Query, State};
+use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-/// All pairs of a session, ascending.
+/// The pairs of a session, ascending, each as the attempt that counts. `after` is the number of the last pair of the
+/// page before.
 #[utoipa::path(get, path = "/api/v1/sessions/{session}/pairs", tag = "capture",
-    params(("session" = String, Path, description = "Name of the session")),
-    responses((status = 200, body = Vec<PairBody>),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json")))]
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath"), PageOrder),
+    responses((status = 200, body = Vec<PairBody>, headers(("Link" = String, description = "The next page, if any")))))]
 pub(super) async fn list(
     State(app): State<App>,
     Path(session): Path<String>,
-) -> Result<Json<Vec<PairBody>>, Problem> {
+    Query(page): Query<PageOrder>,
+) -> Result<Page<PairBody>, Problem> {
+    let (desk, name) = (app.desk.clone(), session.clone());
+    let pairs = blocking(move || {
+        let attempts = desk.attempts(&name)?;
+        Ok(attempts.values().filter_map(|attempts| PairBody::new(&name, attempts)).collect::<Vec<_>>())
+    });
+    let at = format!("{}/pairs", links::session(&session));
+    page.of(pairs.await?, |pair: &PairBody| u64::from(pair.number), |number, after| number > after, &at)
+}
+
+/// One pair.
+#[utoipa::path(get, path = "/api/v1/sessions/{session}/pairs/{number}", tag = "capture",
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath"),
+        ("number" = u32, Path, description = "Number of the pair", example = 1)),
+    responses((status = 200, body = PairBody)))]
+pub(super) async fn one(
+    State(app): State<App>,
+    Path((session, number)): Path<(String, u32)>,
+) -> Result<Json<PairBody>, Problem> {
     blocking(move || {
-        let pairs = app.desk.session(&session)?.pairs()?;
-        Ok(Json(pairs.into_iter().map(|pair| PairBody::new(&session, pair)).collect()))
+        let attempts = app.desk.attempts(&session)?.remove(&number).unwrap_or_default();
+        let missing = || DeskError::NoSuchPair { session: session.clone(), number };
+        Ok(Json(PairBody::new(&session, &attempts).ok_or_else(missing)?))
     })
     .await
 }
@@ -41,74 +64,88 @@ pub(super) struct When {
 }
 
 /// Takes one pair: the job is answered at once, or with `wait=true` when it has ended. A rejected pair is a
-/// job well done; its `result` tells the verdict.
-#[utoipa::path(post, path = "/api/v1/pairs", tag = "capture", params(When),
+/// job well done; its `result` tells the verdict. With `again`, a rejected pair is shot once more under its own number.
+#[utoipa::path(post, path = "/api/v1/pairs", tag = "capture",
+    params(When, ("Idempotency-Key" = Option<String>, Header, description = "One wish, one job, however often it is sent")),
     request_body(content = Option<PairOrder>, description = "May be empty"),
     responses(
-        (status = 202, description = "queued", body = JobBody, headers(("Location" = String))),
+        (status = 202, description = "queued", body = JobBody,
+            headers(("Location" = String), ("Idempotency-Replayed" = Option<String>))),
         (status = 200, description = "ended (`wait=true`)", body = JobBody),
-        (status = 400, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 503, body = ProblemBody, content_type = "application/problem+json")))]
+        (status = 404, description = "`session_not_found`", body = ProblemBody,
+            content_type = "application/problem+json"),
+        (status = 409, description = "`session_locked`, `session_too_new`, `folder_not_empty`, or `pair_accepted` (it cannot be shot again)", body = ProblemBody,
+            content_type = "application/problem+json")))]
 pub(super) async fn take(
     State(app): State<App>,
-    when: Result<Query<When>, QueryRejection>,
-    body: Bytes,
+    Query(when): Query<When>,
+    key: Key,
+    Wishes(order): Wishes<PairOrder>,
 ) -> Result<Response, Problem> {
-    let Query(when) = when?;
-    let order: PairOrder = wishes(&body)?;
-    let desk = app.desk.clone();
-    let job = blocking(move || desk.take_pair(order.session.as_deref())).await?;
-    if when.wait {
-        Ok(Json(JobBody::from(ended(&app, job).await?)).into_response())
-    } else {
-        Ok(accepted(job))
-    }
+    let wish = PairWish { order: order.order, off_frames: order.off_frames, again: order.again };
+    let named = order.session.clone();
+    let job = ordered(&app, key.with(&order)?, move |desk| desk.take_pair(named.as_deref(), wish)).await?;
+    if when.wait { job.ended(&app).await } else { Ok(job.into_response()) }
 }
 
-/// One of a pair's frames.
+/// One of a pair's frames: `off`, `on`, and where there are more `off-2`, `after` and so on.
 #[derive(Clone, Copy, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum FrameName {
-    /// Without flash.
-    Off,
-    /// With flash.
-    On,
+#[schema(value_type = String, example = "off")]
+pub(in crate::http) struct FrameName(pub(super) Slot);
+
+/// One of a pair's pictures: a frame, or `known`.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(try_from = "String")]
+pub(super) enum PictureName {
+    Frame(Slot),
+    Known,
 }
 
-impl From<FrameName> for Frame {
-    fn from(name: FrameName) -> Self {
-        match name {
-            FrameName::Off => Frame::Off,
-            FrameName::On => Frame::On,
-        }
+impl TryFrom<String> for PictureName {
+    type Error = OrderError;
+
+    fn try_from(name: String) -> Result<Self, OrderError> {
+        if name == "known" { Ok(Self::Known) } else { name.parse().map(Self::Frame) }
     }
 }
 
-/// A small JPEG of a frame, made from the raw when it is first asked for.
+/// Which making of a picture is meant.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Making {
+    /// As the pair names it: a picture with its `of` never changes and may be kept.
+    of: Option<String>,
+}
+
+/// A small JPEG of a frame, or of the light that the flash alone threw. Made after the pair was accepted, else when
+/// it is first asked for.
 #[utoipa::path(get, path = "/api/v1/sessions/{session}/pairs/{number}/{frame}/thumbnail.jpg", tag = "capture",
-    params(("session" = String, Path, description = "Name of the session"),
-        ("number" = u32, Path, description = "Number of the pair"),
-        ("frame" = FrameName, Path, description = "`off` or `on`")),
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath"),
+        ("number" = u32, Path, description = "Number of the pair", example = 1),
+        ("frame" = String, Path, example = "known",
+            description = "`off`, `on`, `off-2`, `after` and so on, or `known`, the light that the flash alone threw"), Making),
     responses((status = 200, body = Vec<u8>, content_type = "image/jpeg"),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 422, body = ProblemBody, content_type = "application/problem+json")))]
+        (status = 422, description = "`frame_unreadable`", body = ProblemBody, content_type = "application/problem+json")))]
 pub(super) async fn thumbnail(
     State(app): State<App>,
-    path: Result<Path<(String, u32, FrameName)>, PathRejection>,
+    Path((session, number, frame)): Path<(String, u32, PictureName)>,
+    Query(making): Query<Making>,
 ) -> Result<Response, Problem> {
-    let Path((session, number, frame)) = path?;
-    let file = blocking(move || app.desk.thumbnail(&session, number, frame.into())).await?;
+    let file = blocking(move || match frame {
+        PictureName::Frame(slot) => app.desk.thumbnail(&session, number, slot),
+        PictureName::Known => app.desk.known_light(&session, number),
+    })
+    .await?;
     let bytes = tokio::fs::read(&file).await.map_err(Problem::internal)?;
-    // A pair's originals never change, and so neither does this.
-    let kept = "private, max-age=31536000, immutable";
+    // Originals never change, and so neither does this; but the pair may be shot again, and then its pictures are others.
+    let kept = if making.of.is_some() { "private, max-age=31536000, immutable" } else { "no-cache" };
     Ok(([(header::CONTENT_TYPE, "image/jpeg"), (header::CACHE_CONTROL, kept)], bytes).into_response())
 }
 
 /// The operator has done what he was asked (switched the flash off or on).
 #[utoipa::path(post, path = "/api/v1/confirm", tag = "capture",
     responses((status = 204, description = "taken"),
-        (status = 409, body = ProblemBody, content_type = "application/problem+json")))]
+        (status = 409, description = "`nothing_asked`", body = ProblemBody, content_type = "application/problem+json")))]
 pub(super) async fn confirm(State(app): State<App>) -> Result<StatusCode, Problem> {
     if app.desk.confirm() {
         Ok(StatusCode::NO_CONTENT)

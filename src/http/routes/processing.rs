@@ -1,15 +1,15 @@
 //! What processing needs, and processing itself. All of it becomes jobs.
 
 use super::blocking;
-use super::jobs::accepted;
+use super::jobs::{Ordered, accepted, ordered};
 use crate::capture::SceneFiles;
 use crate::http::App;
 use crate::http::bodies::{CardShotOrder, FlashCalibrationOrder, JobBody};
+use crate::http::extract::{Form, Json, Path};
+use crate::http::idempotency::Key;
 use crate::http::problem::{Problem, ProblemBody};
-use axum::Json;
-use axum::extract::multipart::{Field, MultipartError, MultipartRejection};
-use axum::extract::rejection::JsonRejection;
-use axum::extract::{Multipart, Path, State};
+use axum::extract::multipart::Field;
+use axum::extract::{Multipart, State};
 use axum::response::Response;
 use std::path::PathBuf;
 use utoipa::ToSchema;
@@ -32,23 +32,16 @@ pub(super) struct SceneForm {
 
 /// Imports cameras and meshes.
 #[utoipa::path(post, path = "/api/v1/sessions/{session}/scene", tag = "processing",
-    params(("session" = String, Path, description = "Name of the session")),
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath")),
     request_body(content = SceneForm, content_type = "multipart/form-data"),
-    responses((status = 202, body = JobBody, headers(("Location" = String))),
-        (status = 400, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json")))]
+    responses((status = 202, body = JobBody, headers(("Location" = String)))))]
 pub(super) async fn import_scene(
     State(app): State<App>,
     Path(session): Path<String>,
-    form: Result<Multipart, MultipartRejection>,
+    Form(form): Form,
 ) -> Result<Response, Problem> {
-    let form = form.map_err(|e| Problem::new(e.status(), "body_invalid", e.body_text()))?;
     let files = stage(form).await?;
     Ok(accepted(blocking(move || app.desk.import_scene(&session, files)).await?))
-}
-
-fn part_failed(error: &MultipartError) -> Problem {
-    Problem::new(error.status(), "body_invalid", error.body_text())
 }
 
 /// Writes the form's files to a folder of their own, meshes numbered so that equal names do not collide.
@@ -58,7 +51,7 @@ async fn stage(mut form: Multipart) -> Result<SceneFiles, Problem> {
     tokio::fs::create_dir(&cameras_dir).await.map_err(Problem::internal)?;
     let (mut cameras, mut meshes) = (Vec::new(), Vec::new());
     let (mut unit, mut scale) = ("m".to_owned(), 1.0);
-    while let Some(part) = form.next_field().await.map_err(|e| part_failed(&e))? {
+    while let Some(part) = form.next_field().await? {
         match part.name() {
             Some("cameras") => cameras.push(keep(part, &cameras_dir).await?),
             Some("mesh") => {
@@ -66,9 +59,9 @@ async fn stage(mut form: Multipart) -> Result<SceneFiles, Problem> {
                 tokio::fs::create_dir(&own).await.map_err(Problem::internal)?;
                 meshes.push(keep(part, &own).await?);
             }
-            Some("unit") => unit = part.text().await.map_err(|e| part_failed(&e))?,
+            Some("unit") => unit = part.text().await?,
             Some("scale") => {
-                let text = part.text().await.map_err(|e| part_failed(&e))?;
+                let text = part.text().await?;
                 scale = text.trim().parse().map_err(|_| {
                     Problem::bad_request("value_invalid", format!("scale is {text:?}, but must be a number"))
                 })?;
@@ -99,41 +92,38 @@ async fn keep(part: Field<'_>, folder: &std::path::Path) -> Result<PathBuf, Prob
         return Err(Problem::bad_request("body_invalid", words));
     }
     let path = folder.join(name);
-    let bytes = part.bytes().await.map_err(|e| part_failed(&e))?;
+    let bytes = part.bytes().await?;
     tokio::fs::write(&path, &bytes).await.map_err(Problem::internal)?;
     Ok(path)
 }
 
 /// Shoots the calibration card with and without flash.
 #[utoipa::path(post, path = "/api/v1/sessions/{session}/calibration/flash/shots", tag = "processing",
-    params(("session" = String, Path, description = "Name of the session")),
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath"),
+        ("Idempotency-Key" = Option<String>, Header, description = "One wish, one job, however often it is sent")),
     request_body = CardShotOrder,
-    responses((status = 202, body = JobBody, headers(("Location" = String))),
-        (status = 400, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json")))]
+    responses((status = 202, body = JobBody, headers(("Location" = String), ("Idempotency-Replayed" = Option<String>)))))]
 pub(super) async fn shoot_card(
     State(app): State<App>,
     Path(session): Path<String>,
-    order: Result<Json<CardShotOrder>, JsonRejection>,
-) -> Result<Response, Problem> {
-    let Json(order) = order?;
-    Ok(accepted(blocking(move || app.desk.take_card_shot(&session, order.distance_m)).await?))
+    key: Key,
+    Json(order): Json<CardShotOrder>,
+) -> Result<Ordered, Problem> {
+    let distance = order.distance_m;
+    ordered(&app, key.with(&order)?, move |desk| desk.take_card_shot(&session, distance)).await
 }
 
 /// Fits the flash calibration from the card shots taken so far.
 #[utoipa::path(post, path = "/api/v1/sessions/{session}/calibration/flash", tag = "processing",
-    params(("session" = String, Path, description = "Name of the session")),
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath")),
     request_body = FlashCalibrationOrder,
     responses((status = 202, body = JobBody, headers(("Location" = String))),
-        (status = 400, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 409, body = ProblemBody, content_type = "application/problem+json")))]
+        (status = 409, description = "`inputs_missing`, `session_locked` or `session_too_new`", body = ProblemBody, content_type = "application/problem+json")))]
 pub(super) async fn calibrate_flash(
     State(app): State<App>,
     Path(session): Path<String>,
-    order: Result<Json<FlashCalibrationOrder>, JsonRejection>,
+    Json(order): Json<FlashCalibrationOrder>,
 ) -> Result<Response, Problem> {
-    let Json(order) = order?;
     let FlashCalibrationOrder { target_reflectance, ring_radii } = order;
     let ordered = blocking(move || app.desk.calibrate_flash(&session, target_reflectance, ring_radii));
     Ok(accepted(ordered.await?))
@@ -142,13 +132,14 @@ pub(super) async fn calibrate_flash(
 /// Makes the model from everything that the session holds. Starts by itself after each accepted pair once
 /// scene and calibration are there; this asks for it out of turn.
 #[utoipa::path(post, path = "/api/v1/sessions/{session}/process", tag = "processing",
-    params(("session" = String, Path, description = "Name of the session")),
-    responses((status = 202, body = JobBody, headers(("Location" = String))),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json"),
-        (status = 409, body = ProblemBody, content_type = "application/problem+json")))]
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath"),
+        ("Idempotency-Key" = Option<String>, Header, description = "One wish, one job, however often it is sent")),
+    responses((status = 202, body = JobBody, headers(("Location" = String), ("Idempotency-Replayed" = Option<String>))),
+        (status = 409, description = "`inputs_missing`, `session_locked` or `session_too_new`", body = ProblemBody, content_type = "application/problem+json")))]
 pub(super) async fn process(
     State(app): State<App>,
     Path(session): Path<String>,
-) -> Result<Response, Problem> {
-    Ok(accepted(blocking(move || app.desk.process(&session)).await?))
+    key: Key,
+) -> Result<Ordered, Problem> {
+    ordered(&app, key.with(&())?, move |desk| desk.process(&session)).await
 }

@@ -3,10 +3,11 @@
 use super::blocking;
 use crate::http::App;
 use crate::http::bodies::{DevicesBody, NewSession, SessionBody};
+use crate::http::extract;
+use crate::http::extract::Path;
 use crate::http::problem::{Problem, ProblemBody};
 use axum::Json;
-use axum::extract::rejection::JsonRejection;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::StatusCode;
 
 /// Looks for camera and flash and says how they stand. While a pair is being shot: as last seen.
@@ -29,13 +30,11 @@ pub(super) async fn list(State(app): State<App>) -> Result<Json<Vec<SessionBody>
     responses(
         (status = 201, description = "made", body = SessionBody),
         (status = 200, description = "was there", body = SessionBody),
-        (status = 400, body = ProblemBody, content_type = "application/problem+json"),
         (status = 409, body = ProblemBody, content_type = "application/problem+json")))]
 pub(super) async fn enter(
     State(app): State<App>,
-    order: Result<Json<NewSession>, JsonRejection>,
+    extract::Json(order): extract::Json<NewSession>,
 ) -> Result<(StatusCode, Json<SessionBody>), Problem> {
-    let Json(order) = order?;
     blocking(move || {
         let (_, made) = app.desk.enter(&order.name)?;
         let status = if made { StatusCode::CREATED } else { StatusCode::OK };
@@ -46,9 +45,8 @@ pub(super) async fn enter(
 
 /// One session.
 #[utoipa::path(get, path = "/api/v1/sessions/{session}", tag = "capture",
-    params(("session" = String, Path, description = "Name of the session")),
-    responses((status = 200, body = SessionBody),
-        (status = 404, body = ProblemBody, content_type = "application/problem+json")))]
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath")),
+    responses((status = 200, body = SessionBody)))]
 pub(super) async fn one(
     State(app): State<App>,
     Path(session): Path<String>,

@@ -343,6 +343,7 @@ fn explain_trend(trend: &mut Trend, pulses: &[TrendPulse], triggers: &[f64]) {
 mod tests {
     use super::super::tests::sync;
     use super::*;
+    use crate::pair::order::Order;
     use crate::pair::{FrameRecord, Reason, Settings};
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
@@ -362,11 +363,17 @@ mod tests {
         off.at = Some(at - 2.0);
         PairRecord {
             number,
+            attempt: 1,
             name: format!("{number:04}"),
             verdict: Verdict::Accepted,
             reasons: vec![],
+            order: Order::OffOn,
+            off_frames: 1,
             off: frame(),
+            more_off: vec![],
             on: frame(),
+            after: vec![],
+            drift: None,
             flash: Some(FlashRecord { off: vec![off], on: vec![on] }),
         }
     }

@@ -106,8 +106,12 @@ fn sixteen(path: &Path, image: &Rgb, colour: Colour, more: &str) -> Result<(), A
     let description =
         format!("diffuse reflectance, linear, value = reflectance * 65535, {}; {more}", name(colour));
     let profile = profile(colour);
-    let told =
-        Told { description: Some(&description), software: Some(SOFTWARE), profile: profile.as_deref() };
+    let told = Told {
+        description: Some(&description),
+        software: Some(SOFTWARE),
+        profile: profile.as_deref(),
+        settings: None,
+    };
     tiff16::write_rgb16_told(path, image, &told)
 }
 

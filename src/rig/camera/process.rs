@@ -89,6 +89,7 @@ impl Process {
             .stdin(OwnedFd::from(theirs))
             // The library may print where it likes; the socket carries frames alone.
             .stdout(Stdio::from(io::stderr().as_fd().try_clone_to_owned()?));
+        crate::log::pass_on(&mut command);
         let child = command.spawn()?;
         Ok(Self { child, link: ours, _home: home, polite: true })
     }

@@ -30,7 +30,7 @@ pub use settings::{BoardSettings, FlashSettings};
 use self::line::Fields;
 use self::shared::Shared;
 use self::worker::{Order, What, Worker};
-use super::{Flash, FlashError, FlashStatus, RECYCLE_PATIENCE};
+use super::{Closer, Flash, FlashError, FlashStatus, RECYCLE_PATIENCE};
 use crate::pair::FlashSync;
 use std::path::Path;
 use std::sync::Arc;
@@ -45,6 +45,8 @@ const RECYCLE_STEP: Duration = Duration::from_millis(10);
 const ARM_PATIENCE: Duration = Duration::from_secs(1);
 /// A trial waits for any recycle time that the board keeps (a minute), and whoever runs it can end the program.
 const FIRE_PATIENCE: Duration = Duration::from_secs(61);
+/// How long closing the gate from the side waits for the board's word.
+const CLOSE_PATIENCE: Duration = Duration::from_secs(2);
 /// The board's errors that mean "later".
 const NOT_READY: u32 = 10;
 const RATE: u32 = 12;
@@ -52,7 +54,8 @@ const RATE: u32 = 12;
 /// A flash controller on a serial port.
 pub struct SerialFlash {
     port: String,
-    orders: Option<Sender<Order>>,
+    /// The thread ends with the last sender: nobody else keeps one.
+    orders: Option<Arc<Sender<Order>>>,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
 }
@@ -78,7 +81,7 @@ impl SerialFlash {
                 reason: error.to_string(),
                 advice: "the system gives no more threads; close other programs".into(),
             })?;
-        Ok(Self { port, orders: Some(orders), shared, thread: Some(thread) })
+        Ok(Self { port, orders: Some(Arc::new(orders)), shared, thread: Some(thread) })
     }
 
     /// Who answers: firmware, processor, port.
@@ -177,6 +180,21 @@ impl Flash for SerialFlash {
 
     fn disarm(&mut self) -> Result<(), FlashError> {
         self.ask("disarm", true).map(|_| ())
+    }
+
+    fn closer(&self) -> Option<Closer> {
+        let (orders, port) = (Arc::downgrade(self.orders.as_ref()?), self.port.clone());
+        Some(Arc::new(move || {
+            // Who is closed has closed the gate.
+            let Some(orders) = orders.upgrade() else { return Ok(()) };
+            let lost = |reason: &str| FlashError::Lost { port: port.clone(), reason: reason.into() };
+            let (answer, result) = channel();
+            let what = What::Ask { body: "disarm".into(), fresh: false };
+            orders.send(Order { what, answer }).map_err(|_| lost("its driver thread ended"))?;
+            drop(orders);
+            let answered = result.recv_timeout(CLOSE_PATIENCE);
+            answered.map_err(|_| lost("it did not say in time that its gate is closed"))?.map(|_| ())
+        }))
     }
 
     /// A sync whose contact closed before the call is in the answer, or the answer is an error: whatever came in, the

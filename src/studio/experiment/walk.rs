@@ -10,7 +10,7 @@ use crate::progress::Progress;
 use crate::raster::blur::gaussian;
 use crate::raster::{Image, Rgb};
 use crate::scene::{Camera, write_obj};
-use crate::session::{NewFrame, NewPair, Session};
+use crate::session::{More, NewFrame, NewPair, Session};
 use crate::studio::truth::write_cameras;
 use crate::studio::world::lab::{self, Lab};
 use glam::DVec2;
@@ -104,6 +104,7 @@ impl Walk {
                 on: new_frame("on.dng", on),
                 reasons: vec![],
                 flash: None,
+                more: More::default(),
             })?;
         }
         let options = ProcessOptions { texture_size, views, ..Default::default() };

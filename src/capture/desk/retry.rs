@@ -1,0 +1,34 @@
+//! Doing again what did not come to a good end, from what was asked for then.
+
+use super::{Desk, DeskError};
+use crate::jobs::{Job, JobId, JobsError};
+use serde_json::Value;
+
+impl Desk {
+    /// Asks again for what a job that failed, was cancelled or interrupted was asked for.
+    pub fn retry(&self, id: JobId) -> Result<Job, DeskError> {
+        let (job, order) = self.0.queue.to_repeat(id)?;
+        let again = Desk(self.0.clone(), Some(id));
+        let session = job.subject.as_str();
+        let lost = || DeskError::Jobs(JobsError::NotRepeatable(id, job.kind.clone()));
+        match job.kind.as_str() {
+            "pair" => again.take_pair(Some(session), read(order).ok_or_else(lost)?),
+            "find_exposure" => again.find_exposure(session, read(order).ok_or_else(lost)?),
+            "flash_shots" => again.take_card_shot(session, read(order).ok_or_else(lost)?),
+            "repeatability" => again.take_repeatability(session, read(order).ok_or_else(lost)?),
+            "calibrate_flash" => {
+                let (target_reflectance, ring_radii) = read(order).ok_or_else(lost)?;
+                again.calibrate_flash(session, target_reflectance, ring_radii)
+            }
+            "process" => again.process(session),
+            "verify" => again.verify(session),
+            "develop" => again.develop(session, read(order).ok_or_else(lost)?),
+            // Written down by a program that knew more kinds.
+            _ => Err(lost()),
+        }
+    }
+}
+
+fn read<T: serde::de::DeserializeOwned>(order: Value) -> Option<T> {
+    serde_json::from_value(order).ok()
+}

@@ -1,0 +1,138 @@
+//! Sequences over the desk: each pair is an ordinary job of the rig's lane, so that others may shoot in between.
+
+use super::{Desk, DeskError, Inner};
+use crate::capture::events::Topic;
+use crate::capture::place::name_of;
+use crate::capture::sequence::{Conductor, SequenceEvent, SequenceView, Shooter, read as read_sequence};
+use crate::jobs::{JobId, Lane};
+use crate::session::{SequencePlan, Session};
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+
+/// The sequences that are conducted, by their session's name.
+pub(super) type Sequences = Mutex<BTreeMap<String, Arc<Conductor>>>;
+
+impl Desk {
+    fn conductors(&self) -> MutexGuard<'_, BTreeMap<String, Arc<Conductor>>> {
+        // Conductors are inserted whole.
+        self.0.sequences.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn conductor(&self, session: &Arc<Session>) -> Result<Arc<Conductor>, DeskError> {
+        let name = name_of(session);
+        if let Some(conductor) = self.conductors().get(&name) {
+            return Ok(conductor.clone());
+        }
+        let (desk, job) = (Arc::downgrade(&self.0), Mutex::default());
+        let shooter = Box::new(ByJobs { desk, session: session.clone(), job });
+        // From the network no file can be named: it is always the session's own.
+        let trigger = session.trigger_file();
+        let conductor = Conductor::open(session.clone(), shooter, self.0.events.clone(), trigger)?;
+        // Whoever was faster in the meantime has taken it up.
+        Ok(self.conductors().entry(name).or_insert(conductor).clone())
+    }
+
+    /// Takes up the sequence of a session that somebody has entered, paused, and tells how it stands.
+    pub(super) fn take_up_sequence(&self, session: &Arc<Session>) {
+        if let Err(error) = self.conductor(session) {
+            let words = format!("The sequence of {} cannot be taken up: {error}", name_of(session));
+            self.0.events.tell(Topic::Trouble, words, json!({ "session": name_of(session) }));
+        }
+    }
+
+    /// Nothing new is begun from now on.
+    pub(super) fn pause_sequences(&self) {
+        for conductor in self.conductors().values() {
+            // One that is over or not begun needs no pause.
+            let _at_rest = conductor.wish(SequenceEvent::Pause, None);
+        }
+    }
+
+    /// The sequences of the sessions that are open; never waits for a disk.
+    pub fn sequences(&self) -> Vec<SequenceView> {
+        self.conductors().values().filter_map(|conductor| conductor.view().ok()).collect()
+    }
+
+    /// How a session's sequence stands. A session that is not open is looked at and kept from nobody.
+    pub fn sequence(&self, session: &str) -> Result<SequenceView, DeskError> {
+        let open = self.sessions().open.get(session).cloned();
+        match open {
+            Some(session) => Ok(self.conductor(&session)?.view()?),
+            None => Ok(read_sequence(&*self.reader(session)?)?),
+        }
+    }
+
+    /// Plans a session's sequence, or changes how it goes on; says whether a new one was begun.
+    pub fn plan_sequence(
+        &self,
+        session: &str,
+        plan: SequencePlan,
+    ) -> Result<(SequenceView, bool), DeskError> {
+        let conductor = self.conductor(&self.session(session)?)?;
+        let made = conductor.plan(plan)?;
+        Ok((conductor.view()?, made))
+    }
+
+    /// Tells a session's sequence what somebody wants; `position`, where given, is the only one that is meant.
+    pub fn direct_sequence(
+        &self,
+        session: &str,
+        wish: SequenceEvent,
+        position: Option<u32>,
+    ) -> Result<SequenceView, DeskError> {
+        Ok(self.conductor(&self.session(session)?)?.wish(wish, position)?)
+    }
+
+    /// Removes a session's sequence; its pairs stay.
+    pub fn remove_sequence(&self, session: &str) -> Result<(), DeskError> {
+        Ok(self.conductor(&self.session(session)?)?.forget()?)
+    }
+}
+
+/// Has each pair taken by a job.
+struct ByJobs {
+    /// The desk has the conductor, which has this.
+    desk: Weak<Inner>,
+    session: Arc<Session>,
+    job: Mutex<Option<JobId>>,
+}
+
+impl ByJobs {
+    fn desk(&self) -> Option<Desk> {
+        self.desk.upgrade().map(|inner| Desk(inner, None))
+    }
+
+    fn job(&self) -> MutexGuard<'_, Option<JobId>> {
+        self.job.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Shooter for ByJobs {
+    fn begin(&self, conductor: &Arc<Conductor>, position: u32) -> Result<(), String> {
+        let desk = self.desk().ok_or("the program is ending")?;
+        let (conductor, session, own) = (conductor.clone(), self.session.clone(), desk.clone());
+        let queued = desk.enqueue("pair", &self.session, Lane::Rig, false, move |progress| {
+            let record = conductor.take_pair(&own.0.engine, own.0.after_pair.as_ref(), progress)?;
+            own.go_on_from(&session, &record);
+            let (session, number) = (name_of(&session), record.number);
+            Ok(json!({
+                "session": session, "number": number, "verdict": record.verdict, "position": position,
+            }))
+        });
+        *self.job() = Some(queued.map_err(|error| error.to_string())?.id);
+        Ok(())
+    }
+
+    fn stop(&self) {
+        if let (Some(desk), Some(job)) = (self.desk(), *self.job()) {
+            // A job that ended in the meantime is what was wanted.
+            let _ended_already = desk.0.queue.cancel(job);
+        }
+    }
+
+    fn is_lost(&self) -> bool {
+        let (Some(desk), Some(job)) = (self.desk(), *self.job()) else { return true };
+        desk.0.queue.get(job).map_or(true, |job| job.state.is_final())
+    }
+}

@@ -1,0 +1,394 @@
+//! Runs a session's sequence: takes wishes, keeps `sequence.json`, has pairs taken, watches clock and trigger file.
+//!
+//! The conductor owns no device. Each pair is set off through a [`Shooter`] and told back, so that others may shoot
+//! in between. It has a thread only while time or the trigger file matters; whoever drops it ends that too.
+
+use super::error::SequenceError;
+use super::ledger;
+use super::machine::{Effect, Event, Phase, State, step};
+use super::view::{SequenceState, SequenceView, view};
+use crate::capture::engine::{AfterPair, Engine, words_on};
+use crate::capture::error::CaptureError;
+use crate::capture::events::{Events, Topic};
+use crate::capture::place::name_of;
+use crate::capture::wish::PairWish;
+use crate::pair::{PairRecord, Verdict};
+use crate::progress::{Cancelled, Progress};
+use crate::session::{SequencePlan, SequenceRecord, Session};
+use serde_json::json;
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::{Duration, Instant};
+
+/// How often clock, trigger file and pair are looked at. The kernel's notices of files would come sooner, but not
+/// from network disks.
+const GLANCE: Duration = Duration::from_millis(200);
+/// Shortest nap of the clock.
+const SHORTEST_NAP: Duration = Duration::from_millis(5);
+
+/// Has pairs taken.
+pub trait Shooter: Send + Sync {
+    /// Sets a pair for `position` off, which calls [`Conductor::take_pair`] when its turn comes; the error is a
+    /// sentence.
+    fn begin(&self, conductor: &Arc<Conductor>, position: u32) -> Result<(), String>;
+    /// Stops the pair that was set off.
+    fn stop(&self);
+    /// Whether the pair that was set off ended without ever getting its turn.
+    fn is_lost(&self) -> bool;
+}
+
+struct Inside {
+    sequence: Option<(SequencePlan, State)>,
+    /// What is on the disk.
+    kept: Option<SequenceRecord>,
+    /// Whether the clock's thread lives.
+    ticking: bool,
+}
+
+/// A session's sequence.
+pub struct Conductor {
+    session: Arc<Session>,
+    name: String,
+    trigger: PathBuf,
+    shooter: Box<dyn Shooter>,
+    events: Events,
+    born: Instant,
+    inside: Mutex<Inside>,
+    /// A copy for those who must not wait for the disk.
+    shown: Mutex<Option<(SequencePlan, State)>>,
+}
+
+/// The sequence of a session as its files tell it.
+fn restore(session: &Session) -> Result<Option<(SequenceRecord, State)>, SequenceError> {
+    let Some(record) = session.sequence()? else { return Ok(None) };
+    let pairs = session.pairs()?;
+    let verdict = |number| pairs.iter().find(|pair| pair.number == number).map(|pair| pair.verdict);
+    let state = ledger::restored(&record, |number| verdict(number).map(|v| v == Verdict::Accepted));
+    Ok(Some((record, state)))
+}
+
+/// The sequence of a session that nobody conducts here.
+pub(in crate::capture) fn read(session: &Session) -> Result<SequenceView, SequenceError> {
+    let (record, state) = restore(session)?.ok_or_else(|| SequenceError::NotPlanned(name_of(session)))?;
+    Ok(view(&name_of(session), &record.plan, &state, Duration::ZERO))
+}
+
+impl Conductor {
+    /// Takes up the session's sequence where its files say that it stood, paused. Nothing is shot before somebody
+    /// wants it. `trigger` is the file to wait for where the plan wants one.
+    pub fn open(
+        session: Arc<Session>,
+        shooter: Box<dyn Shooter>,
+        events: Events,
+        trigger: PathBuf,
+    ) -> Result<Arc<Self>, SequenceError> {
+        let restored = restore(&session)?;
+        let kept = restored.as_ref().map(|(record, _)| record.clone());
+        let sequence = restored.map(|(record, state)| (record.plan, state));
+        let conductor = Arc::new(Self {
+            name: name_of(&session),
+            session,
+            trigger,
+            shooter,
+            events,
+            born: Instant::now(),
+            shown: Mutex::new(sequence.clone()),
+            inside: Mutex::new(Inside { sequence, kept, ticking: false }),
+        });
+        if conductor.view().is_ok() {
+            conductor.announce();
+        }
+        Ok(conductor)
+    }
+
+    fn inside(&self) -> MutexGuard<'_, Inside> {
+        // State and file are replaced whole.
+        self.inside.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn now(&self) -> Duration {
+        self.born.elapsed()
+    }
+
+    fn not_planned(&self) -> SequenceError {
+        SequenceError::NotPlanned(self.name.clone())
+    }
+
+    /// How the sequence stands; never waits for a disk.
+    pub fn view(&self) -> Result<SequenceView, SequenceError> {
+        let shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        let (plan, state) = shown.as_ref().ok_or_else(|| self.not_planned())?;
+        Ok(view(&self.name, plan, state, self.now()))
+    }
+
+    fn show(&self, inside: &Inside) {
+        self.shown.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&inside.sequence);
+    }
+
+    fn announce(&self) {
+        match self.view() {
+            Ok(view) => self.events.tell(Topic::Sequence, view.words.clone(), json!(view)),
+            Err(gone) => self.events.tell(
+                Topic::Sequence,
+                gone.to_string(),
+                json!({ "session": self.name, "state": "removed" }),
+            ),
+        }
+    }
+
+    /// Plans a sequence, or changes how one that is not under way goes on; says whether a new one was begun.
+    pub fn plan(&self, plan: SequencePlan) -> Result<bool, SequenceError> {
+        if let Some(fault) = plan.fault() {
+            return Err(SequenceError::BadPlan(fault));
+        }
+        let mut inside = self.inside();
+        let mut goes_on = None;
+        if let Some((old, state)) = &inside.sequence {
+            let busy = state.under_way.is_some()
+                || (state.paused.is_none() && !state.is_over() && state.phase != Phase::Planned);
+            if busy {
+                return Err(self.refused("be planned anew", old, state));
+            }
+            let done = state.positions.iter().filter(|place| place.is_settled()).count();
+            if !state.is_over() && old.positions == plan.positions {
+                goes_on = Some(state.clone());
+            } else if !state.is_over() && done > 0 {
+                let done = u32::try_from(done).unwrap_or(u32::MAX);
+                return Err(SequenceError::Unfinished { done, positions: old.positions });
+            }
+        }
+        let made = goes_on.is_none();
+        let state = goes_on.unwrap_or_else(|| State::planned(&plan));
+        self.keep(&mut inside, &plan, &state)?;
+        inside.sequence = Some((plan, state));
+        self.show(&inside);
+        self.announce();
+        Ok(made)
+    }
+
+    /// Removes the sequence; its pairs stay.
+    pub fn forget(&self) -> Result<(), SequenceError> {
+        let mut inside = self.inside();
+        let (plan, state) = inside.sequence.as_ref().ok_or_else(|| self.not_planned())?;
+        if state.under_way.is_some() {
+            return Err(self.refused("be removed", plan, state));
+        }
+        self.session.forget_sequence()?;
+        (inside.sequence, inside.kept) = (None, None);
+        self.show(&inside);
+        self.announce();
+        Ok(())
+    }
+
+    /// A wish; `position`, where given, is the only one for which it is meant.
+    pub fn wish(
+        self: &Arc<Self>,
+        event: Event,
+        position: Option<u32>,
+    ) -> Result<SequenceView, SequenceError> {
+        let mut inside = self.inside();
+        let (plan, state) = inside.sequence.as_ref().ok_or_else(|| self.not_planned())?;
+        if let Some(asked) = position
+            && state.position() != Some(asked)
+        {
+            let stands = view(&self.name, plan, state, self.now()).words;
+            return Err(SequenceError::Elsewhere { asked, stands });
+        }
+        self.apply(&mut inside, event)?;
+        drop(inside);
+        self.view()
+    }
+
+    /// Begins it, or goes on with it.
+    pub fn go_on(self: &Arc<Self>) -> Result<SequenceView, SequenceError> {
+        let planned = self.view()?.state == SequenceState::Planned;
+        self.wish(if planned { Event::Start } else { Event::Resume }, None)
+    }
+
+    fn refused(&self, wish: &'static str, plan: &SequencePlan, state: &State) -> SequenceError {
+        SequenceError::Refused { wish, stands: view(&self.name, plan, state, self.now()).words }
+    }
+
+    /// Writes what is to be kept, if that changed.
+    fn keep(&self, inside: &mut Inside, plan: &SequencePlan, state: &State) -> Result<(), SequenceError> {
+        let record = ledger::record(plan, state);
+        if inside.kept.as_ref() != Some(&record) {
+            self.session.set_sequence(&record)?;
+            inside.kept = Some(record);
+        }
+        Ok(())
+    }
+
+    /// Lets something happen, and what follows from it. A wish that cannot be written down is not taken.
+    fn apply(self: &Arc<Self>, inside: &mut Inside, event: Event) -> Result<(), SequenceError> {
+        self.take_in(inside, event)?;
+        self.show(inside);
+        self.announce();
+        self.start_clock(inside);
+        Ok(())
+    }
+
+    fn take_in(self: &Arc<Self>, inside: &mut Inside, event: Event) -> Result<(), SequenceError> {
+        let Some((plan, state)) = inside.sequence.clone() else { return Err(self.not_planned()) };
+        let wish = name(&event);
+        // What has happened has happened, and what shall stop stops, whatever the disk says.
+        let is_fact = matches!(
+            event,
+            Event::Shot { .. } | Event::Failed(_) | Event::Hindered(_) | Event::Pause | Event::Cancel
+        );
+        let Some((next, effects)) = step(&plan, &state, event, self.now()) else {
+            return Err(self.refused(wish, &plan, &state));
+        };
+        let mut followers = VecDeque::new();
+        match self.keep(inside, &plan, &next) {
+            Err(error) if !is_fact => return Err(error),
+            Err(error) if next.paused.is_none() => followers.push_back(Event::Hindered(format!("{error}."))),
+            Err(error) => tracing::error!("the sequence could not be written: {error}"),
+            Ok(()) => {}
+        }
+        inside.sequence = Some((plan, next));
+        for effect in effects {
+            match effect {
+                Effect::Shoot(position) => {
+                    if let Err(why) = self.shooter.begin(self, position) {
+                        followers.push_back(Event::Failed(format!("No pair was taken: {why}.")));
+                    }
+                }
+                Effect::CancelShot => self.shooter.stop(),
+                Effect::Acknowledge => followers.extend(self.acknowledge()),
+            }
+        }
+        for event in followers {
+            // Facts all; that a sequence which is over cannot be hindered any more is no error.
+            let _over = self.take_in(inside, event);
+        }
+        Ok(())
+    }
+
+    /// Removes the trigger file, which tells the script that its position is done.
+    fn acknowledge(&self) -> Option<Event> {
+        match std::fs::remove_file(&self.trigger) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Some(Event::Hindered(format!(
+                "the trigger file {} cannot be removed ({error}).",
+                self.trigger.display()
+            ))),
+            _ => None,
+        }
+    }
+
+    /// Takes the pair that was set off, on the caller's thread, and takes in what came of it.
+    pub fn take_pair(
+        self: &Arc<Self>,
+        engine: &Engine,
+        after_pair: Option<&AfterPair>,
+        progress: &Progress,
+    ) -> Result<PairRecord, CaptureError> {
+        let outcome = self.announced(engine, after_pair, progress);
+        let event = match &outcome {
+            Ok(record) => Event::Shot {
+                pair: record.number,
+                rejected: (record.verdict == Verdict::Rejected).then(|| words_on(record)),
+            },
+            Err(CaptureError::Cancelled(_)) => Event::Failed("The pair was cancelled.".into()),
+            Err(error) => Event::Failed(format!("No pair was taken: {error}.")),
+        };
+        let mut inside = self.inside();
+        if let Err(error) = self.apply(&mut inside, event) {
+            tracing::error!("the sequence of {} could not take in a pair: {error}", self.name);
+        }
+        outcome
+    }
+
+    /// Nobody else shoots between the announcement and the pair: whoever calls has the rig.
+    fn announced(
+        self: &Arc<Self>,
+        engine: &Engine,
+        after_pair: Option<&AfterPair>,
+        progress: &Progress,
+    ) -> Result<PairRecord, CaptureError> {
+        let again = self.rejected_before();
+        let number = again.map_or_else(|| self.session.next_pair_number(), Ok)?;
+        match self.apply(&mut self.inside(), Event::Begun(number)) {
+            Err(SequenceError::Session(error)) => return Err(error.into()),
+            Err(_) => return Err(Cancelled.into()),
+            Ok(()) => {}
+        }
+        let wish = PairWish { again, ..PairWish::default() };
+        engine.shoot_pair_as(&self.session, wish, after_pair, progress)
+    }
+
+    /// The rejected pair of the position whose pair is set off: it is shot again under its own number, by which the
+    /// position's camera is matched.
+    fn rejected_before(&self) -> Option<u32> {
+        let inside = self.inside();
+        let (_, state) = inside.sequence.as_ref()?;
+        let (position, _) = state.under_way?;
+        let before = *state.positions.get(position.checked_sub(1)? as usize)?.pairs.last()?;
+        self.session.rejected_pair(before).is_ok().then_some(before)
+    }
+
+    /// How long until the clock has to look again; `None` while nothing is to be looked at.
+    fn nap(&self, inside: &Inside) -> Option<Duration> {
+        let (plan, state) = inside.sequence.as_ref()?;
+        // Never a long sleep: a pause may shorten it, and whoever drops the conductor must not wait long.
+        let due = state.due(plan).map(|due| due.saturating_sub(self.now()).clamp(SHORTEST_NAP, GLANCE));
+        due.or((state.under_way.is_some() || state.watches(plan)).then_some(GLANCE))
+    }
+
+    fn start_clock(self: &Arc<Self>, inside: &mut Inside) {
+        if inside.ticking || self.nap(inside).is_none() {
+            return;
+        }
+        let weak = Arc::downgrade(self);
+        match std::thread::Builder::new().name("sequence".into()).spawn(move || tick(&weak)) {
+            Ok(_) => inside.ticking = true,
+            Err(error) => tracing::error!("no thread to be had for the sequence of {}: {error}", self.name),
+        }
+    }
+
+    /// One look at clock, trigger file and pair; gives the next nap.
+    fn look(self: &Arc<Self>) -> Option<Duration> {
+        let mut inside = self.inside();
+        if let Some((plan, state)) = &inside.sequence {
+            let event = if state.under_way.is_some() {
+                self.shooter.is_lost().then(|| Event::Failed("The pair was cancelled.".into()))
+            } else if state.due(plan).is_some_and(|due| due <= self.now()) {
+                Some(Event::Tick)
+            } else {
+                (state.watches(plan) && self.trigger.exists()).then_some(Event::Triggered)
+            };
+            if let Some(event) = event
+                && let Err(error) = self.apply(&mut inside, event)
+            {
+                tracing::error!("the sequence of {} is stuck: {error}", self.name);
+            }
+        }
+        let nap = self.nap(&inside);
+        inside.ticking = nap.is_some();
+        nap
+    }
+}
+
+/// The clock's thread.
+fn tick(conductor: &Weak<Conductor>) {
+    let mut nap = Some(SHORTEST_NAP);
+    while let Some(length) = nap {
+        std::thread::sleep(length);
+        // Between two looks the conductor may be dropped.
+        nap = conductor.upgrade().and_then(|conductor| conductor.look());
+    }
+}
+
+fn name(event: &Event) -> &'static str {
+    match event {
+        Event::Start => "be started",
+        Event::Pause => "be paused",
+        Event::Resume => "be resumed",
+        Event::Next => "take the next pair",
+        Event::Retry => "take the pair again",
+        Event::Skip => "skip a position",
+        Event::Cancel => "be cancelled",
+        _ => "go on",
+    }
+}

@@ -1,0 +1,90 @@
+//! The end of `unlit serve`: the first signal ends it gracefully, the second at once. Either disarms the flash.
+
+use super::CliError;
+use crate::capture::Desk;
+use std::future::Future;
+use std::time::Duration;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+
+/// How long running jobs may take to end after the signal to stop. A release under way may last its exposure.
+const LAST_PATIENCE: Duration = Duration::from_secs(10);
+
+/// Waits for signals from the moment it is made.
+pub(super) struct Stop {
+    desk: Desk,
+    asked: watch::Receiver<bool>,
+    /// Ends when the work has.
+    closing: JoinHandle<()>,
+}
+
+impl Stop {
+    /// SIGINT and SIGTERM from now on.
+    pub(super) fn listen(desk: Desk) -> Result<Self, CliError> {
+        let mut signals = Signals {
+            interrupted: signal(SignalKind::interrupt()).map_err(CliError::new)?,
+            terminated: signal(SignalKind::terminate()).map_err(CliError::new)?,
+        };
+        let (ask, asked) = watch::channel(false);
+        let ending = desk.clone();
+        let closing = tokio::spawn(async move {
+            signals.next().await;
+            ask.send_replace(true);
+            tracing::info!("stopping: running work is finished or given up");
+            tokio::select! {
+                () = close(ending.clone()) => {}
+                () = signals.next() => {
+                    let gate = tokio::task::spawn_blocking(move || ending.close_gate());
+                    if let Err(panic) = gate.await {
+                        tracing::error!("{panic}");
+                    }
+                    eprintln!("unlit: ended at once on a second signal; what was running was abandoned");
+                    std::process::exit(1);
+                }
+            }
+        });
+        Ok(Self { desk, asked, closing })
+    }
+
+    /// Resolves at the first signal. Work is cancelled from then on, while the last answers are given.
+    pub(super) fn asked(&self) -> impl Future<Output = ()> + Send + use<> {
+        let mut asked = self.asked.clone();
+        async move {
+            // An error says that nobody can ask any more, and the task that could has ended the program's work.
+            drop(asked.wait_for(|asked| *asked).await);
+        }
+    }
+
+    /// Resolves when the work has come to rest, or its time is over.
+    pub(super) async fn ended(self) {
+        if *self.asked.borrow() {
+            drop(self.closing.await);
+        } else {
+            // No signal: the listener failed.
+            close(self.desk).await;
+        }
+    }
+}
+
+struct Signals {
+    interrupted: Signal,
+    terminated: Signal,
+}
+
+impl Signals {
+    async fn next(&mut self) {
+        tokio::select! {
+            _ = self.interrupted.recv() => {}
+            _ = self.terminated.recv() => {}
+        }
+    }
+}
+
+async fn close(desk: Desk) {
+    match tokio::task::spawn_blocking(move || desk.close(LAST_PATIENCE)).await {
+        Ok(true) => {}
+        Ok(false) => tracing::warn!("some work did not end within {LAST_PATIENCE:?} and was abandoned"),
+        Err(panic) => tracing::error!("{panic}"),
+    }
+}
