@@ -36,6 +36,13 @@ fn a_giant_body_is_refused_before_it_is_read() {
     send(&stream, yard.port, "POST /api/v1/sessions", &[JSON, "Transfer-Encoding: chunked"], "");
     (0..20).for_each(|_| (&stream).write_all(chunk.as_bytes()).unwrap());
     assert_eq!(read_answer(&stream).status, 413);
+    // Who was refused at once and sends on can still hear it: the connection is not broken off under him.
+    let mut stream = connect(yard.port);
+    send(&stream, yard.port, "POST /api/v1/sessions", &[JSON, "Content-Length: 3000000"], "");
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 413"), "{answer}");
+    (0..20).for_each(|_| stream.write_all(chunk.as_bytes()).unwrap());
     nothing_was_taken(&yard);
 }
 

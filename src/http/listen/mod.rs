@@ -6,6 +6,7 @@
 
 mod descriptors;
 mod socket;
+mod unread;
 
 pub use descriptors::connections_that_fit;
 
@@ -26,6 +27,7 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+use unread::Unread;
 
 /// Largest head of a request, its first line included, in bytes.
 const HEAD_LIMIT: usize = 32 * 1024;
@@ -114,11 +116,12 @@ async fn converse(
     };
     let arrival = Arrival { local, peer, patience };
     let router = TowerToHyperService::new(router);
+    let unread = Unread::default();
+    let socket = TokioIo::new(Socket::new(stream, patience.stalled, unread.clone()));
     let service = service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(arrival);
-        router.call(request)
+        router.call(request.map(|body| unread.watch(body)))
     });
-    let socket = TokioIo::new(Socket::new(stream, patience.stalled));
     let mut connection = pin!(
         http1::Builder::new()
             .timer(TokioTimer::new())
@@ -142,7 +145,7 @@ async fn converse(
 
 /// Says that there are too many, and sees to it that it is heard.
 async fn turn_away(stream: TcpStream, _place: OwnedSemaphorePermit) {
-    let mut socket = Socket::new(stream, FAREWELL);
+    let mut socket = Socket::new(stream, FAREWELL, Unread::default());
     let farewell = async {
         // A client speaks first; what it asks was never going to be answered.
         let _some = socket.read(&mut [0; 1024]).await?;

@@ -1,5 +1,6 @@
 //! A connection's socket: it gives up a client that takes nothing, and ends so that the last answer is heard.
 
+use super::unread::Unread;
 use std::io;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
@@ -19,6 +20,7 @@ pub(super) struct Socket {
     /// Runs while a write waits for the client.
     alarm: Pin<Box<Sleep>>,
     waits: bool,
+    unread: Unread,
     end: End,
 }
 
@@ -31,13 +33,13 @@ enum End {
 }
 
 impl Socket {
-    /// `patience`: how long a client may take nothing of what it is sent.
-    pub(super) fn new(stream: TcpStream, patience: Duration) -> Self {
+    /// `patience`: how long a client may take nothing of what it is sent. `unread`: whether it may still be sending.
+    pub(super) fn new(stream: TcpStream, patience: Duration, unread: Unread) -> Self {
         // Events and answers are small and are wanted at once.
         if let Err(error) = stream.set_nodelay(true) {
             tracing::debug!("a socket keeps its delay: {error}");
         }
-        Self { stream, patience, alarm: Box::pin(sleep(patience)), waits: false, end: End::Open }
+        Self { stream, patience, alarm: Box::pin(sleep(patience)), waits: false, unread, end: End::Open }
     }
 
     /// Passes on how a write went, and gives up when none has gone on for too long.
@@ -64,8 +66,11 @@ impl Socket {
                 Poll::Ready(Ok(())) if !buffer.filled().is_empty() && left > buffer.filled().len() => {
                     left -= buffer.filled().len();
                 }
-                // It sends: perhaps more.
-                Poll::Pending if left < LINGER_BYTES && self.alarm.as_mut().poll(context).is_pending() => {
+                // It was sending: perhaps more comes.
+                Poll::Pending
+                    if (left < LINGER_BYTES || self.unread.is())
+                        && self.alarm.as_mut().poll(context).is_pending() =>
+                {
                     self.end = End::Lingering(left);
                     return Poll::Pending;
                 }
