@@ -5,10 +5,11 @@
 //! the operator's confirmation) does not take that lock.
 
 use super::bench::{Bench, Devices, Gate, ListCameras, RigSource};
+use super::card::{CalibrationShot, CardPlace};
 use super::error::CaptureError;
 use super::events::{Events, Topic};
 use super::live::Live;
-use super::place::{CalibrationShot, CardPlace, PairPlace, Place, PlaceError, name_of};
+use super::place::{PairPlace, Place, PlaceError, name_of};
 use super::prompt::Prompter;
 use super::run::Run;
 use super::wish::PairWish;

@@ -6,6 +6,7 @@
 //! processing, each a job of [`crate::jobs`]. [`Events`] tells all of them what happens.
 
 mod bench;
+mod card;
 mod desk;
 mod engine;
 mod error;
@@ -24,6 +25,7 @@ mod thumbnail;
 mod wish;
 
 pub use bench::{DeviceState, Devices, FlashKind, ListCameras, OpenCamera, OpenFlash, RigSource};
+pub use card::{CalibrationShot, calibration_frames, calibration_shots};
 pub use desk::{Desk, DeskError, FlashCard, Glance, SceneFiles, SessionSummary, Works};
 pub use engine::{AfterPair, CameraState, Engine, words_on};
 pub use error::CaptureError;
@@ -31,7 +33,7 @@ pub use events::{Event, Events, Heard, Topic};
 pub use find::ExposureWish;
 pub use live::LivePicture;
 pub use machine::{Course, Effect, End, Event as PairEvent, State, step};
-pub use place::{CalibrationShot, PlaceError, calibration_frames, calibration_shots};
+pub use place::PlaceError;
 pub use repeat::{RepeatReport, words_on_repeatability};
 pub use sequence::{
     Alone, Conductor, PositionView, SequenceError, SequenceEvent, SequenceState, SequenceView, Shooter,

@@ -16,9 +16,10 @@ pub use error::DeskError;
 pub use glance::Glance;
 
 use super::Devices;
+use super::card::CalibrationShot;
 use super::engine::{AfterPair, Engine};
 use super::events::{Events, Topic};
-use super::place::{CalibrationShot, PlaceError, name_of};
+use super::place::{PlaceError, name_of};
 use super::thumbnail;
 use crate::jobs::{Job, JobId, Ledger, Queue, WorkError};
 use crate::pair::order::Slot;

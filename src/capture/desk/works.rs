@@ -2,9 +2,10 @@
 
 use super::error::{DeskError, JobError};
 use super::{Desk, FlashCard, SceneFiles};
+use crate::capture::card::calibration_shots;
 use crate::capture::events::Topic;
 use crate::capture::find::ExposureWish;
-use crate::capture::place::{calibration_shots, name_of};
+use crate::capture::place::name_of;
 use crate::capture::repeat::words_on_repeatability;
 use crate::capture::thumbnail::{self, ThumbnailError};
 use crate::capture::wish::PairWish;
