@@ -243,6 +243,24 @@ fn a_key_stands_for_one_job_however_often_it_is_sent() {
 }
 
 #[test]
+fn a_retry_that_is_sent_twice_under_a_key_is_one_job() {
+    let room = Room::with(Trouble::Refuses(0));
+    let house = House::open(room.rig());
+    let (_, failed) = house.post_nothing("/api/v1/pairs?wait=true");
+    assert_eq!(failed["state"], "failed", "{failed}");
+    room.heal();
+    let retry = |key: &str| {
+        let path = format!("{}/retry", failed["url"].as_str().unwrap());
+        let reply = ask(&house, "POST", &path, &[("Idempotency-Key", key)], "");
+        let replayed = header(&reply, "idempotency-replayed").to_owned();
+        (replayed, answer(reply).1["id"].clone())
+    };
+    let (first, again, other) = (retry("one"), retry("one"), retry("other"));
+    assert_eq!((first.0.as_str(), again.0.as_str(), &first.1), ("", "true", &again.1));
+    assert_ne!(other.1, first.1, "another key is another wish");
+}
+
+#[test]
 fn long_lists_come_in_pages_that_lead_on() {
     let house = House::open(Room::default().rig());
     house.post("/api/v1/sessions", &json!({ "name": "a vase" }));

@@ -5,7 +5,7 @@ use crate::capture::{Desk, DeskError};
 use crate::http::App;
 use crate::http::bodies::JobBody;
 use crate::http::extract::{Path, Query};
-use crate::http::idempotency::{Asked, Kept};
+use crate::http::idempotency::{Asked, Kept, Key};
 use crate::http::links;
 use crate::http::paging::{Page, PageOrder};
 use crate::http::problem::{Problem, ProblemBody};
@@ -48,12 +48,17 @@ pub(super) async fn cancel(State(app): State<App>, Path(id): Path<u64>) -> Resul
 /// Asks again for what a job that failed, was cancelled or interrupted was asked for; the new job names the old one
 /// in `retry_of`. What a job was sent with (a scene's files) is not kept: such a job is sent again.
 #[utoipa::path(post, path = "/api/v1/jobs/{id}/retry", tag = "processing",
-    params(("id" = u64, Path, description = "Number of the job", example = 1)),
-    responses((status = 202, body = JobBody, headers(("Location" = String))),
+    params(("id" = u64, Path, description = "Number of the job", example = 1),
+        ("Idempotency-Key" = Option<String>, Header, description = "One wish, one job, however often it is sent")),
+    responses((status = 202, body = JobBody, headers(("Location" = String), ("Idempotency-Replayed" = Option<String>))),
         (status = 409, description = "`job_not_retryable` (it ended well or has not ended), `job_not_repeatable`, or what the \
             same wish is refused for anew", body = ProblemBody, content_type = "application/problem+json")))]
-pub(super) async fn retry(State(app): State<App>, Path(id): Path<u64>) -> Result<Response, Problem> {
-    Ok(accepted(blocking(move || app.desk.retry(id)).await?))
+pub(super) async fn retry(
+    State(app): State<App>,
+    Path(id): Path<u64>,
+    key: Key,
+) -> Result<Ordered, Problem> {
+    ordered(&app, key.with(&())?, move |desk| desk.retry(id)).await
 }
 
 /// A job that was asked for, and whether it was asked for before under the same key.
