@@ -474,7 +474,7 @@ pub(super) struct StateBody {
     pub(super) about: Option<SessionBody>,
     /// Its newest pair.
     pub(super) last_pair: Option<PairBody>,
-    /// Jobs, newest first.
+    /// The newest 500 jobs, newest first.
     pub(super) jobs: Vec<JobBody>,
     /// What the operator is asked at the moment.
     pub(super) prompt: Option<String>,

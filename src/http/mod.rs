@@ -36,7 +36,6 @@ pub use door::{Door, DoorError, Patience, Token, TokenError};
 pub use listen::connections_that_fit;
 
 use crate::capture::Desk;
-use crate::jobs::Job;
 use axum::Router;
 use axum::body::Bytes;
 use axum::http::header::CONTENT_TYPE;
@@ -64,8 +63,6 @@ pub trait StudioControl: Send + Sync {
 struct App {
     desk: Desk,
     studio: Option<Arc<dyn StudioControl>>,
-    /// What was asked for under an `Idempotency-Key`.
-    keys: Arc<idempotency::Keys<Job>>,
     door: Arc<Door>,
     /// Turns true when the program is about to end: streams end then.
     closing: watch::Receiver<bool>,
@@ -87,8 +84,8 @@ pub async fn serve(
 ) -> std::io::Result<()> {
     let (close, closing) = watch::channel(false);
     let (patience, door) = (door.patience, Arc::new(door));
-    let (keys, vitals) = (Arc::default(), Vitals::start());
-    let app = App { desk, studio, keys, door: door.clone(), closing: closing.clone(), vitals };
+    let vitals = Vitals::start();
+    let app = App { desk, studio, door: door.clone(), closing: closing.clone(), vitals };
     let (routes, document) = document::api().split_for_parts();
     let document = Bytes::from(document::text(document).map_err(std::io::Error::other)?);
     let router = Router::new()

@@ -243,6 +243,43 @@ fn a_key_stands_for_one_job_however_often_it_is_sent() {
 }
 
 #[test]
+fn a_key_stands_for_its_job_after_a_restart_and_is_free_again_after_a_refusal() {
+    let killed = tempfile::tempdir().unwrap();
+    let send = |house: &House, key: &str, body: &str| {
+        let headers = [("Content-Type", "application/json"), ("Idempotency-Key", key)];
+        let reply = ask(house, "POST", "/api/v1/pairs", &headers, body);
+        let replayed = header(&reply, "idempotency-replayed") == "true";
+        let (_, body) = answer(reply);
+        (replayed, body)
+    };
+    let (done, cut) = {
+        // The second pair waits for the operator.
+        let house = House::open(Room::default().rig_with(|| FlashKind::Manual));
+        house.post("/api/v1/sessions", &json!({ "name": "vase" }));
+        let (_, refused) = send(&house, "one", "{\"again\":7}");
+        assert_eq!(refused["code"], "pair_not_found");
+        let (_, done) = send(&house, "one", "");
+        assert_eq!(agent().delete(house.url(done["url"].as_str().unwrap())).call().unwrap().status(), 200);
+        house.ended(&done);
+        let (_, cut) = send(&house, "two", "");
+        // What `kill -9` would leave now.
+        let sessions = house.folder.path().join("sessions");
+        let copied = std::process::Command::new("cp").arg("-a").args([&sessions, killed.path()]).status();
+        assert!(copied.unwrap().success());
+        house.desk.queue().cancel(cut["id"].as_u64().unwrap()).unwrap();
+        (done, cut)
+    };
+    let house = House::open_in(killed, Room::default().rig(), None, 64);
+    for (key, job, state) in [("one", done, "cancelled"), ("two", cut, "interrupted")] {
+        let (replayed, again) = send(&house, key, "");
+        assert_eq!((replayed, &again["id"], &again["state"]), (true, &job["id"], &json!(state)), "{key}");
+        let (_, refused) = send(&house, key, "{\"session\":\"vase\"}");
+        assert_eq!(refused["code"], "idempotency_key_reused", "{key}");
+    }
+    assert_eq!(house.get("/api/v1/jobs").1.as_array().unwrap().len(), 2, "nothing was shot again");
+}
+
+#[test]
 fn a_retry_that_is_sent_twice_under_a_key_is_one_job() {
     let room = Room::with(Trouble::Refuses(0));
     let house = House::open(room.rig());

@@ -123,6 +123,9 @@ impl From<DeskError> for Problem {
             DeskError::Jobs(JobsError::Finished(_)) => (StatusCode::CONFLICT, "job_finished"),
             DeskError::Jobs(JobsError::NotRetryable(_)) => (StatusCode::CONFLICT, "job_not_retryable"),
             DeskError::Jobs(JobsError::NotRepeatable(..)) => (StatusCode::CONFLICT, "job_not_repeatable"),
+            DeskError::Jobs(JobsError::KeyReused(_)) => {
+                (StatusCode::UNPROCESSABLE_ENTITY, "idempotency_key_reused")
+            }
             DeskError::Thumbnail(ThumbnailError::Disk { .. }) => {
                 (StatusCode::INTERNAL_SERVER_ERROR, "disk_failed")
             }
