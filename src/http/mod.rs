@@ -28,6 +28,7 @@ mod problem;
 mod ranges;
 mod routes;
 mod sequence_bodies;
+mod staging;
 mod trace;
 mod vitals;
 
@@ -44,7 +45,7 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 use vitals::Vitals;
 
 /// How long answers may still be under way after the signal to stop.
@@ -64,6 +65,8 @@ struct App {
     desk: Desk,
     studio: Option<Arc<dyn StudioControl>>,
     door: Arc<Door>,
+    /// Places for uploads that come in.
+    uploads: Arc<Semaphore>,
     /// Turns true when the program is about to end: streams end then.
     closing: watch::Receiver<bool>,
     vitals: Vitals,
@@ -84,8 +87,8 @@ pub async fn serve(
 ) -> std::io::Result<()> {
     let (close, closing) = watch::channel(false);
     let (patience, door) = (door.patience, Arc::new(door));
-    let vitals = Vitals::start();
-    let app = App { desk, studio, door: door.clone(), closing: closing.clone(), vitals };
+    let (uploads, vitals) = (Arc::new(Semaphore::new(staging::AT_ONCE)), Vitals::start());
+    let app = App { desk, studio, door: door.clone(), uploads, closing: closing.clone(), vitals };
     let (routes, document) = document::api().split_for_parts();
     let document = Bytes::from(document::text(document).map_err(std::io::Error::other)?);
     let router = Router::new()

@@ -298,6 +298,52 @@ fn a_retry_that_is_sent_twice_under_a_key_is_one_job() {
 }
 
 #[test]
+fn a_scene_is_taken_for_a_session_that_is_there_and_not_three_at_a_time() {
+    let house = House::open(Room::default().rig());
+    house.post("/api/v1/sessions", &json!({ "name": "vase" }));
+    // Heads whose bodies do not come: an answer can only be to the head.
+    let begin = |session: &str, part: &str| {
+        let mut stream = TcpStream::connect(("127.0.0.1", house.port)).unwrap();
+        stream.set_read_timeout(Some(crate::api::PATIENCE)).unwrap();
+        write!(
+            stream,
+            "POST /api/v1/sessions/{session}/scene HTTP/1.1\r\nHost: 127.0.0.1:{}\r\nContent-Length: 1000000000\r\n\
+             Content-Type: multipart/form-data; boundary=cut\r\n\r\n{part}",
+            house.port
+        )
+        .unwrap();
+        stream
+    };
+    let answered = |mut stream: TcpStream| {
+        let mut text = [0; 4096];
+        let length = stream.read(&mut text).unwrap();
+        String::from_utf8_lossy(&text[..length]).into_owned()
+    };
+    let nowhere = answered(begin("none", ""));
+    assert!(nowhere.starts_with("HTTP/1.1 404") && nowhere.contains("session_not_found"), "{nowhere}");
+
+    let part = "--cut\r\nContent-Disposition: form-data; name=\"unit\"\r\n\r\n";
+    let two = [begin("vase", part), begin("vase", part)];
+    let end = std::time::Instant::now() + crate::api::PATIENCE;
+    let form = [("Content-Type", "multipart/form-data; boundary=cut")];
+    let send = || ask(&house, "POST", "/api/v1/sessions/vase/scene", &form, "--cut--\r\n");
+    // It takes a moment until both are at it.
+    let busy = loop {
+        let reply = send();
+        if reply.status() == 429 {
+            break reply;
+        }
+        assert!(std::time::Instant::now() < end, "a third was let in beside two");
+    };
+    assert_eq!(header(&busy, "retry-after"), "5");
+    assert_eq!(answer(busy).1["code"], "uploads_busy");
+    drop(two);
+    while send().status() != 400 {
+        assert!(std::time::Instant::now() < end, "places are not given back");
+    }
+}
+
+#[test]
 fn long_lists_come_in_pages_that_lead_on() {
     let house = House::open(Room::default().rig());
     house.post("/api/v1/sessions", &json!({ "name": "a vase" }));
