@@ -2,6 +2,7 @@
 //! [`SceneFiles`], or at once where anything fails.
 
 use super::problem::Problem;
+use super::routes::is_full;
 use crate::capture::SceneFiles;
 use axum::extract::Multipart;
 use axum::extract::multipart::Field;
@@ -104,7 +105,7 @@ fn invalid(words: impl std::fmt::Display) -> Problem {
 
 /// The disk does not take it.
 fn refused(error: Error) -> Problem {
-    if matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded) {
+    if is_full(&error) {
         let words = format!("the scene cannot be kept until it is imported: {error}; make room in TMPDIR");
         return Problem::new(StatusCode::CONFLICT, "disk_full", words);
     }
