@@ -145,6 +145,17 @@ fn files_are_had_by_id_whole_in_parts_or_not_again() {
     assert_eq!(header(&head, "content-length"), bytes.len().to_string());
     assert_eq!((head.status().as_u16(), body(head).len()), (200, 0));
 
+    let pictures = ["off", "on"].map(|frame| pair[frame]["thumbnail"].as_str().unwrap().to_owned());
+    let known = pair["known"].as_str().unwrap().to_owned();
+    for address in pictures.into_iter().chain([known]) {
+        let kept = |path: &str| header(&ask(&house, "GET", path, &[], ""), "cache-control").to_owned();
+        assert!(kept(&address).ends_with("immutable"), "{address}");
+        let (plain, _) = address.split_once("?of=").unwrap();
+        for other in [plain.to_owned(), format!("{plain}?of="), format!("{plain}?of=0123456789abcdef")] {
+            assert_eq!(kept(&other), "no-cache", "{other}");
+        }
+    }
+
     let report = ask(&house, "GET", named("model/report.html")["url"].as_str().unwrap(), &[], "");
     assert!(header(&report, "content-type").starts_with("text/html") && !header(&report, "etag").is_empty());
     assert!(header(&report, "content-security-policy").contains("sandbox"));
