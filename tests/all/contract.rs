@@ -60,6 +60,17 @@ fn every_refusal_is_a_problem_with_a_code() {
         ("GET", "/api/v1/nothing", &[], "", 404, "not_found"),
         ("GET", "/assets/nothing", &[], "", 404, "not_found"),
         ("GET", "/assets/%ff", &[], "", 400, "path_invalid"),
+        ("POST", "/api/v1/sessions/%ff/verify", &[], "", 400, "path_invalid"),
+        ("POST", "/api/v1/sessions/none/verify", &[], "", 404, "session_not_found"),
+        ("GET", "/api/v1/sessions/%ff/sequence", &[], "", 400, "path_invalid"),
+        ("POST", "/api/v1/sessions/vase/sequence/dance", &[], "", 400, "path_invalid"),
+        ("POST", "/api/v1/sessions/vase/sequence/start", &[], "", 404, "sequence_not_planned"),
+        ("GET", "/pairing/%ff", &[], "", 400, "path_invalid"),
+        ("GET", "/pairing/nothing", &[], "", 404, "not_found"),
+        ("POST", "/api/v1/pairing", &json, "{", 400, "body_invalid"),
+        ("POST", "/api/v1/pairing", &json, "{\"code\":7}", 422, "body_invalid"),
+        ("POST", "/api/v1/pairing", &json, "{\"code\":\"7\"}", 409, "pairing_not_needed"),
+        ("POST", "/api/v1/tickets", &json, "{\"path\":\"//elsewhere/api/v1/jobs\"}", 400, "value_invalid"),
         ("DELETE", "/api/v1/pairs", &[], "", 405, "method_not_allowed"),
     ] {
         let reply = ask(&house, method, path, headers, body);
@@ -390,6 +401,7 @@ fn looking_at_a_session_keeps_nobody_from_it() {
     for path in ["", "/pairs", "/files", "/flash", &format!("/files/{}", file_id("session.json"))] {
         assert_eq!(house.get(&format!("/api/v1/sessions/vase{path}")).0, 200, "{path}");
     }
+    assert_eq!(house.get("/api/v1/sessions/vase/sequence").1["code"], "sequence_not_planned");
     assert_eq!(house.get("/api/v1/sessions/vase/pairs/1/off/thumbnail.jpg").0, 404);
     assert_eq!(house.get("/api/v1/sessions/vase/pairs/1/off/histogram").0, 404);
     // Another program may write to it now.
