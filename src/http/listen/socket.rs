@@ -64,8 +64,8 @@ impl Socket {
                 Poll::Ready(Ok(())) if !buffer.filled().is_empty() && left > buffer.filled().len() => {
                     left -= buffer.filled().len();
                 }
-                // It sends: perhaps more.
-                Poll::Pending if left < LINGER_BYTES && self.alarm.as_mut().poll(context).is_pending() => {
+                // It may be about to send: a body that was refused by its head has not come yet.
+                Poll::Pending if self.alarm.as_mut().poll(context).is_pending() => {
                     self.end = End::Lingering(left);
                     return Poll::Pending;
                 }
