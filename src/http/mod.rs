@@ -17,11 +17,13 @@ mod flash_bodies;
 mod guard;
 mod idempotency;
 mod intake;
+mod job_bodies;
 mod links;
 mod listen;
 mod mirror_body;
 mod page;
 mod paging;
+mod pair_bodies;
 mod pairing;
 mod pairing_bodies;
 mod problem;
@@ -29,12 +31,13 @@ mod ranges;
 mod routes;
 mod sequence_bodies;
 mod staging;
+mod studio_bodies;
 mod trace;
 mod vitals;
 
-pub use bodies::{StageOrder, StudioBody};
 pub use door::{Door, DoorError, Patience, Token, TokenError};
 pub use listen::connections_that_fit;
+pub use studio_bodies::{StageOrder, StudioBody};
 
 use crate::capture::Desk;
 use axum::Router;

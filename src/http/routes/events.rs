@@ -4,10 +4,11 @@
 use super::blocking;
 use crate::capture::{Event, Heard, Topic};
 use crate::http::App;
-use crate::http::bodies::{PairBody, StateBody};
+use crate::http::bodies::StateBody;
 use crate::http::extract::Query;
 use crate::http::links;
 use crate::http::paging::USUAL;
+use crate::http::pair_bodies::PairBody;
 use crate::http::problem::Problem;
 use axum::extract::State;
 use axum::http::HeaderMap;

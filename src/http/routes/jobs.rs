@@ -3,9 +3,9 @@
 use super::blocking;
 use crate::capture::{Desk, DeskError};
 use crate::http::App;
-use crate::http::bodies::JobBody;
 use crate::http::extract::{Path, Query};
 use crate::http::idempotency::{Asked, Key};
+use crate::http::job_bodies::JobBody;
 use crate::http::links;
 use crate::http::paging::{Page, PageOrder};
 use crate::http::problem::{Problem, ProblemBody};

@@ -3,9 +3,10 @@
 use super::blocking;
 use super::jobs::{Ordered, accepted, ordered};
 use crate::http::App;
-use crate::http::bodies::{CardShotOrder, FlashCalibrationOrder, JobBody};
 use crate::http::extract::{Form, Json, Path};
+use crate::http::flash_bodies::{CardShotOrder, FlashCalibrationOrder};
 use crate::http::idempotency::Key;
+use crate::http::job_bodies::JobBody;
 use crate::http::problem::{Problem, ProblemBody};
 use crate::http::staging;
 use axum::extract::State;
