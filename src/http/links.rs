@@ -30,8 +30,12 @@ pub(super) fn pair(session_name: &str, number: u32) -> String {
 
 /// A small picture of a pair, of these contents. Browsers keep it for good, so its address changes with them.
 pub(super) fn thumbnail(session_name: &str, number: u32, picture: &str, blake3: &str) -> String {
-    let of: String = blake3.chars().take(16).collect();
-    format!("{}/{picture}/thumbnail.jpg?of={of}", pair(session_name, number))
+    format!("{}/{picture}/thumbnail.jpg?of={}", pair(session_name, number), making(blake3))
+}
+
+/// What a picture's address says of the contents of its frame.
+pub(super) fn making(blake3: &str) -> String {
+    blake3.chars().take(16).collect()
 }
 
 /// A job.

@@ -17,26 +17,29 @@ mod flash_bodies;
 mod guard;
 mod idempotency;
 mod intake;
+mod job_bodies;
 mod links;
 mod listen;
 mod mirror_body;
 mod page;
 mod paging;
+mod pair_bodies;
 mod pairing;
 mod pairing_bodies;
 mod problem;
 mod ranges;
 mod routes;
 mod sequence_bodies;
+mod staging;
+mod studio_bodies;
 mod trace;
 mod vitals;
 
-pub use bodies::{StageOrder, StudioBody};
 pub use door::{Door, DoorError, Patience, Token, TokenError};
 pub use listen::connections_that_fit;
+pub use studio_bodies::{StageOrder, StudioBody};
 
 use crate::capture::Desk;
-use crate::jobs::Job;
 use axum::Router;
 use axum::body::Bytes;
 use axum::http::header::CONTENT_TYPE;
@@ -45,7 +48,7 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 use vitals::Vitals;
 
 /// How long answers may still be under way after the signal to stop.
@@ -64,9 +67,9 @@ pub trait StudioControl: Send + Sync {
 struct App {
     desk: Desk,
     studio: Option<Arc<dyn StudioControl>>,
-    /// What was asked for under an `Idempotency-Key`.
-    keys: Arc<idempotency::Keys<Job>>,
     door: Arc<Door>,
+    /// Places for uploads that come in.
+    uploads: Arc<Semaphore>,
     /// Turns true when the program is about to end: streams end then.
     closing: watch::Receiver<bool>,
     vitals: Vitals,
@@ -87,8 +90,8 @@ pub async fn serve(
 ) -> std::io::Result<()> {
     let (close, closing) = watch::channel(false);
     let (patience, door) = (door.patience, Arc::new(door));
-    let (keys, vitals) = (Arc::default(), Vitals::start());
-    let app = App { desk, studio, keys, door: door.clone(), closing: closing.clone(), vitals };
+    let (uploads, vitals) = (Arc::new(Semaphore::new(staging::AT_ONCE)), Vitals::start());
+    let app = App { desk, studio, door: door.clone(), uploads, closing: closing.clone(), vitals };
     let (routes, document) = document::api().split_for_parts();
     let document = Bytes::from(document::text(document).map_err(std::io::Error::other)?);
     let router = Router::new()

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::IntoParams;
 
 /// Entries of a page if nobody says how many.
-const USUAL: usize = 500;
+pub(super) const USUAL: usize = 500;
 /// Entries of a page at most.
 const MOST: usize = 1000;
 

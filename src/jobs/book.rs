@@ -1,14 +1,15 @@
 //! What is queued, what runs, what has ended; and whose turn it is.
 
+use super::claims::Claims;
 use super::ledger::Past;
-use super::{Job, JobId, JobState, Lane, Order, Work};
+use super::{Job, JobId, JobState, JobsError, Lane, Order, Work};
 use crate::progress::Progress;
 use std::collections::{HashMap, VecDeque};
 use std::time::{Duration, Instant};
 
 /// Jobs that may wait in one lane.
 pub(super) const WAITING_LIMIT: usize = 64;
-/// Finished jobs that are remembered.
+/// Finished jobs that are remembered, beside those that a key stands for.
 pub(super) const REMEMBERED: usize = 200;
 
 pub(super) struct Entry {
@@ -34,6 +35,10 @@ pub(super) struct Book {
     pub(super) last_id: JobId,
     pub(super) entries: VecDeque<Entry>,
     pub(super) closed: bool,
+    /// No job begins meanwhile.
+    pub(super) held: bool,
+    /// Keys under which jobs were asked for.
+    pub(super) claims: Claims,
     /// When the last job at the rig ended.
     rested_since: Option<Instant>,
     /// Turns that were given, and the last one of each subject.
@@ -46,7 +51,7 @@ impl Book {
     pub(super) fn after(past: Past) -> Self {
         let past_work = |job| Entry { job, progress: Progress::silent(), work: None, rest: Duration::ZERO };
         let entries = past.jobs.into_iter().map(past_work).collect();
-        Self { last_id: past.last_id, entries, ..Self::default() }
+        Self { last_id: past.last_id, entries, claims: past.claims, ..Self::default() }
     }
 
     pub(super) fn entry(&mut self, id: JobId) -> Option<&mut Entry> {
@@ -73,11 +78,25 @@ impl Book {
         Some(entry.job.clone())
     }
 
-    pub(super) fn forget_the_oldest(&mut self) {
-        while self.entries.iter().filter(|e| e.job.state.is_final()).count() > REMEMBERED {
-            let Some(at) = self.entries.iter().position(|e| e.job.state.is_final()) else { return };
-            self.entries.remove(at);
+    /// The job that this key stands for at this moment; an error if it does so for another wish.
+    pub(super) fn claimed(&mut self, key: &str, wish: &str, now: u64) -> Result<Option<Job>, JobsError> {
+        let Some(claim) = self.claims.of(key, now) else { return Ok(None) };
+        if claim.wish != wish {
+            return Err(JobsError::KeyReused(key.to_owned()));
         }
+        let id = claim.job;
+        Ok(self.entry(id).map(|entry| entry.job.clone()))
+    }
+
+    pub(super) fn forget_the_oldest(&mut self) {
+        let claimed = self.claims.jobs();
+        let may_go = |entry: &Entry| entry.job.state.is_final() && !claimed.contains(&entry.job.id);
+        let mut surplus = self.entries.iter().filter(|e| may_go(e)).count().saturating_sub(REMEMBERED);
+        self.entries.retain(|entry| {
+            let goes = surplus > 0 && may_go(entry);
+            surplus -= usize::from(goes);
+            !goes
+        });
     }
 
     /// The rig has nothing more to do.
@@ -98,6 +117,9 @@ impl Book {
     /// Takes the job of `lane` whose turn it is: at the rig the oldest; elsewhere the oldest of the subject that has
     /// waited longest for a turn, so that no session waits for all of another's work.
     pub(super) fn next(&mut self, lane: Lane) -> Turn {
+        if self.held {
+            return Turn::Nobody;
+        }
         let (mut best, mut soonest): (Option<(u64, JobId)>, Option<Duration>) = (None, None);
         for entry in self.waiting(lane) {
             match self.lacks(entry.rest) {

@@ -3,6 +3,7 @@
 //! The ledger serves the queue and never stands in its way: a line that cannot be written is told once, and the
 //! work goes on. It is read and shortened when it is opened; a file lock keeps a second program off it.
 
+use super::claims::{Claim, Claims, unix_seconds};
 use super::{Job, JobId, JobState, Problem};
 use crate::session::{lines, store, utc_now};
 use serde::{Deserialize, Serialize};
@@ -12,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Jobs that are carried over from one program to the next.
+/// Jobs that are carried over from one program to the next, beside those that a key stands for.
 const CARRIED: usize = 100;
 
 /// One line.
@@ -29,6 +30,8 @@ enum Line {
         #[serde(default, skip_serializing_if = "Option::is_none", rename = "asked")]
         order: Option<serde_json::Value>,
     },
+    /// A key stands for a job.
+    Claimed(Claim),
     /// A job began.
     Started { job: JobId, at: String },
     /// A job ended.
@@ -50,6 +53,19 @@ pub(super) struct Past {
     pub(super) last_id: JobId,
     /// Its jobs, all ended, ascending.
     pub(super) jobs: Vec<Job>,
+    /// The keys that stand for them.
+    pub(super) claims: Claims,
+}
+
+impl Past {
+    fn forget_the_oldest(&mut self) {
+        let claimed = self.claims.jobs();
+        let mut left = self.jobs.len();
+        self.jobs.retain(|job| {
+            left -= 1;
+            left < CARRIED || claimed.contains(&job.id)
+        });
+    }
 }
 
 /// The open file.
@@ -84,11 +100,12 @@ impl Ledger {
             job.ended = Some(utc_now());
             job.problem = Some(Problem { code: "interrupted".into(), words: words(job) });
         }
-        past.jobs.drain(..past.jobs.len().saturating_sub(CARRIED));
+        past.forget_the_oldest();
         let spent = std::iter::once(Line::Spent { job: past.last_id });
         let jobs = past.jobs.iter().map(whole);
+        let claims = past.claims.iter().cloned().map(Line::Claimed);
         let mut text = String::new();
-        for line in spent.chain(jobs) {
+        for line in spent.chain(jobs).chain(claims) {
             text += &serde_json::to_string(&line)?;
             text.push('\n');
         }
@@ -110,6 +127,11 @@ impl Ledger {
     /// Writes down that a job was asked for; `durable`: on the disk when this returns.
     pub(super) fn enqueued(&self, job: &Job, durable: bool) -> Option<String> {
         self.write(&whole(job), durable)
+    }
+
+    /// Writes down that a key stands for a job; on the disk when this returns.
+    pub(super) fn claimed(&self, claim: &Claim) -> Option<String> {
+        self.write(&Line::Claimed(claim.clone()), true)
     }
 
     /// Writes down that a job began or ended. A sentence comes back where writing fails for the first time.
@@ -164,6 +186,7 @@ fn whole(job: &Job) -> Line {
 fn read(text: &str) -> Past {
     let mut last_id = 0;
     let mut jobs = BTreeMap::<JobId, Job>::new();
+    let mut claims = Claims::default();
     for line in text.lines() {
         match serde_json::from_str(line) {
             Ok(Line::Spent { job }) => last_id = last_id.max(job),
@@ -172,6 +195,7 @@ fn read(text: &str) -> Past {
                 job.order = order;
                 jobs.insert(job.id, *job);
             }
+            Ok(Line::Claimed(claim)) => claims.keep(claim),
             Ok(Line::Started { job, at }) => {
                 if let Some(job) = jobs.get_mut(&job) {
                     job.state = JobState::Running;
@@ -186,7 +210,9 @@ fn read(text: &str) -> Past {
             Err(error) => tracing::warn!("a line of the list of jobs is left out: {error}"),
         }
     }
-    Past { last_id, jobs: jobs.into_values().collect() }
+    claims.forget(unix_seconds());
+    claims.forget_strangers(|job| jobs.contains_key(&job));
+    Past { last_id, jobs: jobs.into_values().collect(), claims }
 }
 
 #[cfg(test)]

@@ -3,12 +3,14 @@
 //! A job is long work with a name: it is queued, runs on its lane's one thread, reports progress, may be
 //! cancelled, and ends done, failed or cancelled. It belongs to nobody: whoever asked for it may leave. Lanes
 //! keep the rig and the processor apart, so that pairs are shot while earlier ones are processed. A [`Ledger`]
-//! on the disk tells the next program what this one was asked for: jobs that it did not end are interrupted.
+//! on the disk tells the next program what this one was asked for, and under which key: jobs that it did not end are
+//! interrupted.
 //!
 //! In: closures that take a [`Progress`]. Out: [`Job`] snapshots, on request and at every change. What the
 //! work does is none of this module's business.
 
 mod book;
+mod claims;
 mod ledger;
 mod logged;
 mod queue;

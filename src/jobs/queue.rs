@@ -1,6 +1,7 @@
 //! The queue and its threads, one a lane.
 
 use super::book::{Book, Entry, REMEMBERED, Turn, WAITING_LIMIT};
+use super::claims::{Claim, unix_seconds};
 use super::logged::logged;
 use super::{Job, JobId, JobState, Lane, Ledger, Load, Order, Problem, Work, WorkError};
 use crate::progress::{Progress, Report};
@@ -33,6 +34,9 @@ pub enum JobsError {
     /// What it was made from is gone.
     #[error("job {0} ({1}) cannot be repeated, because what was sent with it is not kept: send it again")]
     NotRepeatable(JobId, String),
+    /// The key stands for another wish.
+    #[error("the key {0:?} came with another wish before; give each wish a key of its own")]
+    KeyReused(String),
 }
 
 /// Hears of jobs.
@@ -44,6 +48,8 @@ struct Shared {
     book: Mutex<Book>,
     /// Held while a job is admitted, the ledger's disk included; looking at jobs never waits for it.
     admission: Mutex<()>,
+    /// Held while a job is asked for under a key: the next who comes with that key waits for what becomes of it.
+    claiming: Mutex<()>,
     woken: Condvar,
     notice: Notice,
     ledger: Option<(Ledger, Trouble)>,
@@ -115,8 +121,14 @@ impl Queue {
     }
 
     fn begin(book: Book, notice: Notice, ledger: Option<(Ledger, Trouble)>) -> std::io::Result<Self> {
-        let (book, admission, woken) = (Mutex::new(book), Mutex::default(), Condvar::new());
-        let shared = Arc::new(Shared { book, admission, woken, notice, ledger });
+        let shared = Arc::new(Shared {
+            book: Mutex::new(book),
+            admission: Mutex::default(),
+            claiming: Mutex::default(),
+            woken: Condvar::new(),
+            notice,
+            ledger,
+        });
         for lane in Lane::ALL {
             let shared = shared.clone();
             let name = match lane {
@@ -182,6 +194,29 @@ impl Queue {
         (self.0.notice)(&job);
         self.0.woken.notify_all();
         Ok(job)
+    }
+
+    /// The job that `ask` queues, or queued before for the same wish (a digest of it) under the same key; and whether it
+    /// was before, by this program or by one whose ledger this one goes on with. A wish that is refused leaves its key
+    /// free.
+    pub fn once<E: From<JobsError>>(
+        &self,
+        key: &str,
+        wish: &str,
+        ask: impl FnOnce() -> Result<Job, E>,
+    ) -> Result<(Job, bool), E> {
+        let _alone = self.0.claiming.lock().unwrap_or_else(PoisonError::into_inner);
+        let at = unix_seconds();
+        if let Some(job) = self.0.book().claimed(key, wish, at)? {
+            return Ok((job, true));
+        }
+        // What begins is known by its key: else a crash between the two would have it done twice.
+        let _held = Held::all(&self.0);
+        let job = ask()?;
+        let claim = Claim { key: key.to_owned(), wish: wish.to_owned(), job: job.id, at };
+        self.0.write_down(|ledger| ledger.claimed(&claim));
+        self.0.book().claims.keep(claim);
+        Ok((job, false))
     }
 
     fn progress_of(&self, id: JobId) -> Progress {
@@ -288,6 +323,23 @@ impl Queue {
             book = self.0.woken.wait_timeout(book, left).unwrap_or_else(PoisonError::into_inner).0;
         }
         true
+    }
+}
+
+/// No job begins as long as this lives.
+struct Held<'a>(&'a Shared);
+
+impl<'a> Held<'a> {
+    fn all(shared: &'a Shared) -> Self {
+        shared.book().held = true;
+        Self(shared)
+    }
+}
+
+impl Drop for Held<'_> {
+    fn drop(&mut self) {
+        self.0.book().held = false;
+        self.0.woken.notify_all();
     }
 }
 

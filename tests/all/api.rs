@@ -74,7 +74,16 @@ impl House {
         studio: Option<Arc<dyn StudioControl>>,
         threads: usize,
     ) -> Self {
-        let folder = tempfile::tempdir().unwrap();
+        Self::open_in(tempfile::tempdir().unwrap(), rig, studio, threads)
+    }
+
+    /// In a folder that may hold what another house left.
+    pub(crate) fn open_in(
+        folder: TempDir,
+        rig: RigSource,
+        studio: Option<Arc<dyn StudioControl>>,
+        threads: usize,
+    ) -> Self {
         let events = Events::default();
         let engine = Arc::new(Engine::new(rig, Limits::default(), events.clone()));
         let processed = Arc::default();

@@ -60,6 +60,17 @@ fn every_refusal_is_a_problem_with_a_code() {
         ("GET", "/api/v1/nothing", &[], "", 404, "not_found"),
         ("GET", "/assets/nothing", &[], "", 404, "not_found"),
         ("GET", "/assets/%ff", &[], "", 400, "path_invalid"),
+        ("POST", "/api/v1/sessions/%ff/verify", &[], "", 400, "path_invalid"),
+        ("POST", "/api/v1/sessions/none/verify", &[], "", 404, "session_not_found"),
+        ("GET", "/api/v1/sessions/%ff/sequence", &[], "", 400, "path_invalid"),
+        ("POST", "/api/v1/sessions/vase/sequence/dance", &[], "", 400, "path_invalid"),
+        ("POST", "/api/v1/sessions/vase/sequence/start", &[], "", 404, "sequence_not_planned"),
+        ("GET", "/pairing/%ff", &[], "", 400, "path_invalid"),
+        ("GET", "/pairing/nothing", &[], "", 404, "not_found"),
+        ("POST", "/api/v1/pairing", &json, "{", 400, "body_invalid"),
+        ("POST", "/api/v1/pairing", &json, "{\"code\":7}", 422, "body_invalid"),
+        ("POST", "/api/v1/pairing", &json, "{\"code\":\"7\"}", 409, "pairing_not_needed"),
+        ("POST", "/api/v1/tickets", &json, "{\"path\":\"//elsewhere/api/v1/jobs\"}", 400, "value_invalid"),
         ("DELETE", "/api/v1/pairs", &[], "", 405, "method_not_allowed"),
     ] {
         let reply = ask(&house, method, path, headers, body);
@@ -144,6 +155,17 @@ fn files_are_had_by_id_whole_in_parts_or_not_again() {
     let head = ask(&house, "HEAD", url, &[], "");
     assert_eq!(header(&head, "content-length"), bytes.len().to_string());
     assert_eq!((head.status().as_u16(), body(head).len()), (200, 0));
+
+    let pictures = ["off", "on"].map(|frame| pair[frame]["thumbnail"].as_str().unwrap().to_owned());
+    let known = pair["known"].as_str().unwrap().to_owned();
+    for address in pictures.into_iter().chain([known]) {
+        let kept = |path: &str| header(&ask(&house, "GET", path, &[], ""), "cache-control").to_owned();
+        assert!(kept(&address).ends_with("immutable"), "{address}");
+        let (plain, _) = address.split_once("?of=").unwrap();
+        for other in [plain.to_owned(), format!("{plain}?of="), format!("{plain}?of=0123456789abcdef")] {
+            assert_eq!(kept(&other), "no-cache", "{other}");
+        }
+    }
 
     let report = ask(&house, "GET", named("model/report.html")["url"].as_str().unwrap(), &[], "");
     assert!(header(&report, "content-type").starts_with("text/html") && !header(&report, "etag").is_empty());
@@ -243,6 +265,107 @@ fn a_key_stands_for_one_job_however_often_it_is_sent() {
 }
 
 #[test]
+fn a_key_stands_for_its_job_after_a_restart_and_is_free_again_after_a_refusal() {
+    let killed = tempfile::tempdir().unwrap();
+    let send = |house: &House, key: &str, body: &str| {
+        let headers = [("Content-Type", "application/json"), ("Idempotency-Key", key)];
+        let reply = ask(house, "POST", "/api/v1/pairs", &headers, body);
+        let replayed = header(&reply, "idempotency-replayed") == "true";
+        let (_, body) = answer(reply);
+        (replayed, body)
+    };
+    let (done, cut) = {
+        // The second pair waits for the operator.
+        let house = House::open(Room::default().rig_with(|| FlashKind::Manual));
+        house.post("/api/v1/sessions", &json!({ "name": "vase" }));
+        let (_, refused) = send(&house, "one", "{\"again\":7}");
+        assert_eq!(refused["code"], "pair_not_found");
+        let (_, done) = send(&house, "one", "");
+        assert_eq!(agent().delete(house.url(done["url"].as_str().unwrap())).call().unwrap().status(), 200);
+        house.ended(&done);
+        let (_, cut) = send(&house, "two", "");
+        // What `kill -9` would leave now.
+        let sessions = house.folder.path().join("sessions");
+        let copied = std::process::Command::new("cp").arg("-a").args([&sessions, killed.path()]).status();
+        assert!(copied.unwrap().success());
+        house.desk.queue().cancel(cut["id"].as_u64().unwrap()).unwrap();
+        (done, cut)
+    };
+    let house = House::open_in(killed, Room::default().rig(), None, 64);
+    for (key, job, state) in [("one", done, "cancelled"), ("two", cut, "interrupted")] {
+        let (replayed, again) = send(&house, key, "");
+        assert_eq!((replayed, &again["id"], &again["state"]), (true, &job["id"], &json!(state)), "{key}");
+        let (_, refused) = send(&house, key, "{\"session\":\"vase\"}");
+        assert_eq!(refused["code"], "idempotency_key_reused", "{key}");
+    }
+    assert_eq!(house.get("/api/v1/jobs").1.as_array().unwrap().len(), 2, "nothing was shot again");
+}
+
+#[test]
+fn a_retry_that_is_sent_twice_under_a_key_is_one_job() {
+    let room = Room::with(Trouble::Refuses(0));
+    let house = House::open(room.rig());
+    let (_, failed) = house.post_nothing("/api/v1/pairs?wait=true");
+    assert_eq!(failed["state"], "failed", "{failed}");
+    room.heal();
+    let retry = |key: &str| {
+        let path = format!("{}/retry", failed["url"].as_str().unwrap());
+        let reply = ask(&house, "POST", &path, &[("Idempotency-Key", key)], "");
+        let replayed = header(&reply, "idempotency-replayed").to_owned();
+        (replayed, answer(reply).1["id"].clone())
+    };
+    let (first, again, other) = (retry("one"), retry("one"), retry("other"));
+    assert_eq!((first.0.as_str(), again.0.as_str(), &first.1), ("", "true", &again.1));
+    assert_ne!(other.1, first.1, "another key is another wish");
+}
+
+#[test]
+fn a_scene_is_taken_for_a_session_that_is_there_and_not_three_at_a_time() {
+    let house = House::open(Room::default().rig());
+    house.post("/api/v1/sessions", &json!({ "name": "vase" }));
+    // Heads whose bodies do not come: an answer can only be to the head.
+    let begin = |session: &str, part: &str| {
+        let mut stream = TcpStream::connect(("127.0.0.1", house.port)).unwrap();
+        stream.set_read_timeout(Some(crate::api::PATIENCE)).unwrap();
+        write!(
+            stream,
+            "POST /api/v1/sessions/{session}/scene HTTP/1.1\r\nHost: 127.0.0.1:{}\r\nContent-Length: 1000000000\r\n\
+             Content-Type: multipart/form-data; boundary=cut\r\n\r\n{part}",
+            house.port
+        )
+        .unwrap();
+        stream
+    };
+    let answered = |mut stream: TcpStream| {
+        let mut text = [0; 4096];
+        let length = stream.read(&mut text).unwrap();
+        String::from_utf8_lossy(&text[..length]).into_owned()
+    };
+    let nowhere = answered(begin("none", ""));
+    assert!(nowhere.starts_with("HTTP/1.1 404") && nowhere.contains("session_not_found"), "{nowhere}");
+
+    let part = "--cut\r\nContent-Disposition: form-data; name=\"unit\"\r\n\r\n";
+    let two = [begin("vase", part), begin("vase", part)];
+    let end = std::time::Instant::now() + crate::api::PATIENCE;
+    let form = [("Content-Type", "multipart/form-data; boundary=cut")];
+    let send = || ask(&house, "POST", "/api/v1/sessions/vase/scene", &form, "--cut--\r\n");
+    // It takes a moment until both are at it.
+    let busy = loop {
+        let reply = send();
+        if reply.status() == 429 {
+            break reply;
+        }
+        assert!(std::time::Instant::now() < end, "a third was let in beside two");
+    };
+    assert_eq!(header(&busy, "retry-after"), "5");
+    assert_eq!(answer(busy).1["code"], "uploads_busy");
+    drop(two);
+    while send().status() != 400 {
+        assert!(std::time::Instant::now() < end, "places are not given back");
+    }
+}
+
+#[test]
 fn long_lists_come_in_pages_that_lead_on() {
     let house = House::open(Room::default().rig());
     house.post("/api/v1/sessions", &json!({ "name": "a vase" }));
@@ -278,6 +401,7 @@ fn looking_at_a_session_keeps_nobody_from_it() {
     for path in ["", "/pairs", "/files", "/flash", &format!("/files/{}", file_id("session.json"))] {
         assert_eq!(house.get(&format!("/api/v1/sessions/vase{path}")).0, 200, "{path}");
     }
+    assert_eq!(house.get("/api/v1/sessions/vase/sequence").1["code"], "sequence_not_planned");
     assert_eq!(house.get("/api/v1/sessions/vase/pairs/1/off/thumbnail.jpg").0, 404);
     assert_eq!(house.get("/api/v1/sessions/vase/pairs/1/off/histogram").0, 404);
     // Another program may write to it now.

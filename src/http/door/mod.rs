@@ -180,7 +180,7 @@ impl Door {
 
     /// Shows a pairing code if none is open: somebody stands at the door.
     pub(super) fn knock(&self) -> std::io::Result<()> {
-        self.lock.as_ref().map_or(Ok(()), |lock| lock.show_code(&mut held(&lock.codes)))
+        self.lock.as_ref().map_or(Ok(()), Lock::show_code)
     }
 
     /// Tries a pairing code for a client at `address`.
@@ -191,12 +191,12 @@ impl Door {
         if let Err(wait) = held(&lock.attempts).take(address, Instant::now()) {
             return Ok(Pairing::TooOften(wait));
         }
-        let mut codes = held(&lock.codes);
-        Ok(match codes.enter(code, Instant::now()) {
+        let verdict = held(&lock.codes).enter(code, Instant::now());
+        Ok(match verdict {
             Verdict::Right => Pairing::Paired(lock.badges.issue(unix_seconds())?),
             Verdict::Wrong => Pairing::Refused,
             Verdict::NoneOpen => {
-                lock.show_code(&mut codes)?;
+                lock.show_code()?;
                 Pairing::Refused
             }
         })
@@ -220,12 +220,17 @@ impl Door {
 }
 
 impl Lock {
-    fn show_code(&self, codes: &mut Codes) -> std::io::Result<()> {
-        if codes.is_open(Instant::now()) {
-            return Ok(());
-        }
-        let number = u64::from_le_bytes(token::random()?) % 100_000_000;
-        (self.announce)(codes.open(number, Instant::now()));
+    /// Opens a code and shows it, if none is open.
+    fn show_code(&self) -> std::io::Result<()> {
+        let digits = {
+            let (mut codes, now) = (held(&self.codes), Instant::now());
+            if codes.is_open(now) {
+                return Ok(());
+            }
+            codes.open(u64::from_le_bytes(token::random()?) % 100_000_000, now)
+        };
+        // A terminal that is stopped keeps nobody else waiting.
+        (self.announce)(&digits);
         Ok(())
     }
 }
@@ -305,6 +310,19 @@ mod tests {
         let with = Credentials { ticket: Some(&ticket), ..Credentials::default() };
         assert_eq!(door.admit(with, "/x"), Ok(()));
         assert_eq!(door.admit(with, "/x"), Err(Refusal::DeadTicket), "a second time");
+    }
+
+    #[test]
+    fn a_stranger_cannot_guess_the_owners_code_away() {
+        let (door, shown, _) = locked();
+        door.knock().unwrap();
+        for (last, guess) in (1..=10).flat_map(|last| [(last, "11111111"), (last, "22222222")]) {
+            door.pair(guess, IpAddr::from([192, 0, 2, last])).unwrap();
+        }
+        let codes = shown.lock().unwrap().clone();
+        assert_eq!(codes.len(), 1, "{codes:?}");
+        let paired = door.pair(&codes[0], IpAddr::from([192, 0, 2, 99])).unwrap();
+        assert!(matches!(paired, Pairing::Paired(_)), "{paired:?}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use super::jobs::{Ordered, ordered};
 use super::pairs::FrameName;
 use crate::capture::LivePicture;
 use crate::http::App;
-use crate::http::bodies::{DevicesBody, JobBody};
+use crate::http::bodies::DevicesBody;
 use crate::http::camera_bodies::{
     CameraBody, CameraChoice, CameraListBody, ConfirmedBody, ExposureOrder, FindOrder, FrameFiguresBody,
     PlanBody, WindowBody,
@@ -13,6 +13,7 @@ use crate::http::camera_bodies::{
 use crate::http::extract;
 use crate::http::extract::{Path, Wishes};
 use crate::http::idempotency::Key;
+use crate::http::job_bodies::JobBody;
 use crate::http::problem::{Problem, ProblemBody};
 use axum::Json;
 use axum::body::{Body, Bytes};

@@ -4,9 +4,11 @@
 use super::blocking;
 use crate::capture::{Event, Heard, Topic};
 use crate::http::App;
-use crate::http::bodies::{PairBody, StateBody};
+use crate::http::bodies::StateBody;
 use crate::http::extract::Query;
 use crate::http::links;
+use crate::http::paging::USUAL;
+use crate::http::pair_bodies::PairBody;
 use crate::http::problem::Problem;
 use axum::extract::State;
 use axum::http::HeaderMap;
@@ -138,7 +140,7 @@ async fn snapshot(app: &App, id: &str) -> Result<sse::Event, Problem> {
             session,
             about: about.map(Into::into),
             last_pair,
-            jobs: desk.queue().list().into_iter().map(Into::into).collect(),
+            jobs: desk.queue().list().into_iter().take(USUAL).map(Into::into).collect(),
             prompt: desk.prompt(),
             sequences: desk.sequences().into_iter().map(Into::into).collect(),
             studio: asked.studio.as_ref().map(|s| s.describe()),

@@ -3,10 +3,10 @@
 use super::blocking;
 use super::jobs::{Ordered, ordered};
 use crate::http::App;
-use crate::http::bodies::JobBody;
 use crate::http::extract::{Path, Wishes};
 use crate::http::flash_bodies::{FlashAccountBody, RepeatabilityOrder};
 use crate::http::idempotency::Key;
+use crate::http::job_bodies::JobBody;
 use crate::http::problem::Problem;
 use axum::Json;
 use axum::extract::State;

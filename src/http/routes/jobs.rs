@@ -3,9 +3,9 @@
 use super::blocking;
 use crate::capture::{Desk, DeskError};
 use crate::http::App;
-use crate::http::bodies::JobBody;
 use crate::http::extract::{Path, Query};
-use crate::http::idempotency::{Asked, Kept};
+use crate::http::idempotency::{Asked, Key};
+use crate::http::job_bodies::JobBody;
 use crate::http::links;
 use crate::http::paging::{Page, PageOrder};
 use crate::http::problem::{Problem, ProblemBody};
@@ -14,7 +14,6 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use std::time::Instant;
 use tokio::sync::broadcast::error::RecvError;
 
 /// The jobs that are remembered, newest first. `after` is the number of the last job of the page before.
@@ -48,12 +47,13 @@ pub(super) async fn cancel(State(app): State<App>, Path(id): Path<u64>) -> Resul
 /// Asks again for what a job that failed, was cancelled or interrupted was asked for; the new job names the old one
 /// in `retry_of`. What a job was sent with (a scene's files) is not kept: such a job is sent again.
 #[utoipa::path(post, path = "/api/v1/jobs/{id}/retry", tag = "processing",
-    params(("id" = u64, Path, description = "Number of the job", example = 1)),
-    responses((status = 202, body = JobBody, headers(("Location" = String))),
+    params(("id" = u64, Path, description = "Number of the job", example = 1),
+        ("Idempotency-Key" = Option<String>, Header, description = "One wish, one job, however often it is sent")),
+    responses((status = 202, body = JobBody, headers(("Location" = String), ("Idempotency-Replayed" = Option<String>))),
         (status = 409, description = "`job_not_retryable` (it ended well or has not ended), `job_not_repeatable`, or what the \
             same wish is refused for anew", body = ProblemBody, content_type = "application/problem+json")))]
-pub(super) async fn retry(State(app): State<App>, Path(id): Path<u64>) -> Result<Response, Problem> {
-    Ok(accepted(blocking(move || app.desk.retry(id)).await?))
+pub(super) async fn retry(State(app): State<App>, Path(id): Path<u64>, key: Key) -> Result<Ordered, Problem> {
+    ordered(&app, key.with(&())?, move |desk| desk.retry(id)).await
 }
 
 /// A job that was asked for, and whether it was asked for before under the same key.
@@ -65,22 +65,18 @@ pub(super) struct Ordered {
 /// Asks the desk for a job; once for each key, where the request has one.
 pub(super) async fn ordered(
     app: &App,
-    asked: Asked,
+    asked: Option<Asked>,
     order: impl FnOnce(&Desk) -> Result<Job, DeskError> + Send + 'static,
 ) -> Result<Ordered, Problem> {
     let app = app.clone();
     blocking(move || {
-        let Some((key, wish)) = asked else {
-            return Ok(Ok(Ordered { job: order(&app.desk)?, replayed: false }));
+        let (job, replayed) = match asked {
+            Some(Asked { key, wish }) => app.desk.queue().once(&key, &wish, || order(&app.desk))?,
+            None => (order(&app.desk)?, false),
         };
-        let kept = app.keys.once(&key, wish, Instant::now(), || order(&app.desk).map_err(Problem::from));
-        Ok(kept.map(|Kept { made, replayed }| {
-            // As it stands now, where it is remembered; else as it stood when it was first asked for.
-            let job = app.desk.queue().get(made.id).unwrap_or(made);
-            Ordered { job, replayed }
-        }))
+        Ok(Ordered { job, replayed })
     })
-    .await?
+    .await
 }
 
 impl Ordered {

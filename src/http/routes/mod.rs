@@ -23,6 +23,7 @@ use crate::session::SessionError;
 use axum::extract::DefaultBodyLimit;
 use axum::http::{Method, StatusCode, Uri};
 use axum::middleware::from_fn;
+use std::io::ErrorKind;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
@@ -103,16 +104,7 @@ impl From<DeskError> for Problem {
             DeskError::NoSuchFile { .. } => (StatusCode::NOT_FOUND, "file_not_found"),
             DeskError::NoSuchFrame { .. } => (StatusCode::NOT_FOUND, "frame_not_found"),
             DeskError::NotReady { .. } => (StatusCode::CONFLICT, "inputs_missing"),
-            DeskError::Session(error) | DeskError::Place(PlaceError::Session(error)) => match error {
-                SessionError::NoSuchPair { .. } => (StatusCode::NOT_FOUND, "pair_not_found"),
-                SessionError::PairAccepted { .. } => (StatusCode::CONFLICT, "pair_accepted"),
-                SessionError::Locked { .. } => (StatusCode::CONFLICT, "session_locked"),
-                SessionError::NotEmpty { .. } => (StatusCode::CONFLICT, "folder_not_empty"),
-                SessionError::NoRoom { .. } => (StatusCode::CONFLICT, "disk_full"),
-                SessionError::Damaged { .. } => (StatusCode::INTERNAL_SERVER_ERROR, "session_damaged"),
-                SessionError::TooNew { .. } => (StatusCode::CONFLICT, "session_too_new"),
-                _ => (StatusCode::INTERNAL_SERVER_ERROR, "session_failed"),
-            },
+            DeskError::Session(error) | DeskError::Place(PlaceError::Session(error)) => of_session(error),
             DeskError::Sequence(error) => sequences::answer_to(error),
             DeskError::Energy(_) => (StatusCode::INTERNAL_SERVER_ERROR, "session_unreadable"),
             DeskError::Place(PlaceError::Order(_)) => (StatusCode::BAD_REQUEST, "order_invalid"),
@@ -123,6 +115,9 @@ impl From<DeskError> for Problem {
             DeskError::Jobs(JobsError::Finished(_)) => (StatusCode::CONFLICT, "job_finished"),
             DeskError::Jobs(JobsError::NotRetryable(_)) => (StatusCode::CONFLICT, "job_not_retryable"),
             DeskError::Jobs(JobsError::NotRepeatable(..)) => (StatusCode::CONFLICT, "job_not_repeatable"),
+            DeskError::Jobs(JobsError::KeyReused(_)) => {
+                (StatusCode::UNPROCESSABLE_ENTITY, "idempotency_key_reused")
+            }
             DeskError::Thumbnail(ThumbnailError::Disk { .. }) => {
                 (StatusCode::INTERNAL_SERVER_ERROR, "disk_failed")
             }
@@ -130,6 +125,27 @@ impl From<DeskError> for Problem {
         };
         Problem::new(status, code, error)
     }
+}
+
+/// The table from a session's errors to status and code.
+fn of_session(error: &SessionError) -> (StatusCode, &'static str) {
+    match error {
+        SessionError::NotASession { .. } => (StatusCode::NOT_FOUND, "session_not_found"),
+        SessionError::NoSuchPair { .. } => (StatusCode::NOT_FOUND, "pair_not_found"),
+        SessionError::PairAccepted { .. } => (StatusCode::CONFLICT, "pair_accepted"),
+        SessionError::Locked { .. } => (StatusCode::CONFLICT, "session_locked"),
+        SessionError::NotEmpty { .. } => (StatusCode::CONFLICT, "folder_not_empty"),
+        SessionError::NoRoom { .. } => (StatusCode::CONFLICT, "disk_full"),
+        SessionError::Io { source, .. } if is_full(source) => (StatusCode::CONFLICT, "disk_full"),
+        SessionError::Damaged { .. } => (StatusCode::INTERNAL_SERVER_ERROR, "session_damaged"),
+        SessionError::TooNew { .. } => (StatusCode::CONFLICT, "session_too_new"),
+        _ => (StatusCode::INTERNAL_SERVER_ERROR, "session_failed"),
+    }
+}
+
+/// Whether there is no room left, for anybody or for this user.
+pub(super) fn is_full(error: &std::io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded)
 }
 
 /// Runs what may wait for a disk or a device on a thread that may block.
@@ -140,5 +156,29 @@ async fn blocking<T: Send + 'static>(
     match tokio::task::spawn_blocking(move || span.in_scope(work)).await {
         Ok(outcome) => Ok(outcome?),
         Err(panic) => Err(Problem::internal(format!("the handler stumbled: {panic}"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::SequenceError;
+    use axum::response::IntoResponse;
+
+    #[test]
+    fn a_session_that_cannot_be_used_is_the_same_refusal_from_a_sequence() {
+        let path = || "vase".into();
+        let io = |kind: ErrorKind| SessionError::Io { path: path(), source: kind.into() };
+        for (error, status) in [
+            (SessionError::NotASession { path: path() }, 404),
+            (SessionError::Locked { path: path(), holder: None }, 409),
+            (SessionError::TooNew { path: path(), found: 9, known: 1 }, 409),
+            (io(ErrorKind::StorageFull), 409),
+            (io(ErrorKind::PermissionDenied), 500),
+        ] {
+            let words = error.to_string();
+            let problem = Problem::from(DeskError::Sequence(SequenceError::Session(error)));
+            assert_eq!(problem.into_response().status().as_u16(), status, "{words}");
+        }
     }
 }

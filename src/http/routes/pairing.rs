@@ -23,7 +23,7 @@ pub(super) async fn state(State(app): State<App>, headers: HeaderMap) -> Json<Pa
 }
 
 /// Pairs a browser: for the code that the daemon shows on its terminal it gets a cookie. A code is good once, for
-/// ten minutes and five tries; if none is open, this shows a new one there. Answered to anybody, a few times a
+/// ten minutes; if none is open, this shows a new one there. Answered to anybody, a few times a
 /// minute.
 #[utoipa::path(post, path = "/api/v1/pairing", tag = "access", request_body = PairingOrder,
     responses((status = 204, description = "paired", headers(("Set-Cookie" = String))),

@@ -4,12 +4,14 @@ use super::blocking;
 use super::jobs::ordered;
 use crate::capture::{DeskError, PairWish};
 use crate::http::App;
-use crate::http::bodies::{JobBody, PairBody, PairOrder};
 use crate::http::extract::{Path, Query, Wishes};
 use crate::http::idempotency::Key;
+use crate::http::job_bodies::JobBody;
 use crate::http::links;
 use crate::http::paging::{Page, PageOrder};
+use crate::http::pair_bodies::{PairBody, PairOrder};
 use crate::http::problem::{Problem, ProblemBody};
+use crate::pair::current;
 use crate::pair::order::{OrderError, Slot};
 use axum::Json;
 use axum::extract::State;
@@ -131,14 +133,29 @@ pub(super) async fn thumbnail(
     Path((session, number, frame)): Path<(String, u32, PictureName)>,
     Query(making): Query<Making>,
 ) -> Result<Response, Problem> {
-    let file = blocking(move || match frame {
-        PictureName::Frame(slot) => app.desk.thumbnail(&session, number, slot),
-        PictureName::Known => app.desk.known_light(&session, number),
+    let (file, present) = blocking(move || {
+        let slot = match frame {
+            PictureName::Frame(slot) => slot,
+            PictureName::Known => Slot::ON,
+        };
+        // Asked first: nothing that is shot meanwhile is kept under the address of what was there before.
+        let attempts = app.desk.attempts(&session)?;
+        let shown = attempts.get(&number).and_then(|attempts| current(attempts)?.frame(slot));
+        let present = shown.map(|frame| links::making(&frame.blake3));
+        let file = match frame {
+            PictureName::Frame(slot) => app.desk.thumbnail(&session, number, slot),
+            PictureName::Known => app.desk.known_light(&session, number),
+        };
+        Ok((file?, present))
     })
     .await?;
     let bytes = tokio::fs::read(&file).await.map_err(Problem::internal)?;
     // Originals never change, and so neither does this; but the pair may be shot again, and then its pictures are others.
-    let kept = if making.of.is_some() { "private, max-age=31536000, immutable" } else { "no-cache" };
+    let kept = if making.of.is_some() && making.of == present {
+        "private, max-age=31536000, immutable"
+    } else {
+        "no-cache"
+    };
     Ok(([(header::CONTENT_TYPE, "image/jpeg"), (header::CACHE_CONTROL, kept)], bytes).into_response())
 }
 

@@ -2,16 +2,16 @@
 
 use super::blocking;
 use super::jobs::{Ordered, accepted, ordered};
-use crate::capture::SceneFiles;
 use crate::http::App;
-use crate::http::bodies::{CardShotOrder, FlashCalibrationOrder, JobBody};
 use crate::http::extract::{Form, Json, Path};
+use crate::http::flash_bodies::{CardShotOrder, FlashCalibrationOrder};
 use crate::http::idempotency::Key;
+use crate::http::job_bodies::JobBody;
 use crate::http::problem::{Problem, ProblemBody};
-use axum::extract::multipart::Field;
-use axum::extract::{Multipart, State};
+use crate::http::staging;
+use axum::extract::State;
+use axum::http::StatusCode;
 use axum::response::Response;
-use std::path::PathBuf;
 use utoipa::ToSchema;
 
 /// The scene's files.
@@ -30,71 +30,28 @@ pub(super) struct SceneForm {
     scale: Option<f64>,
 }
 
-/// Imports cameras and meshes.
+/// Imports cameras and meshes. Two uploads may come in at the same time.
 #[utoipa::path(post, path = "/api/v1/sessions/{session}/scene", tag = "processing",
     params(("session" = String, Path, description = "Name of the session", example = "birdbath")),
     request_body(content = SceneForm, content_type = "multipart/form-data"),
-    responses((status = 202, body = JobBody, headers(("Location" = String)))))]
+    responses((status = 202, body = JobBody, headers(("Location" = String))),
+        (status = 429, description = "`uploads_busy`: two others are coming in; or too many jobs wait, `queue_full`. \
+            `Retry-After` says when to ask again.", body = ProblemBody, content_type = "application/problem+json")))]
 pub(super) async fn import_scene(
     State(app): State<App>,
     Path(session): Path<String>,
     Form(form): Form,
 ) -> Result<Response, Problem> {
-    let files = stage(form).await?;
-    Ok(accepted(blocking(move || app.desk.import_scene(&session, files)).await?))
-}
-
-/// Writes the form's files to a folder of their own, meshes numbered so that equal names do not collide.
-async fn stage(mut form: Multipart) -> Result<SceneFiles, Problem> {
-    let folder = tempfile::tempdir().map_err(Problem::internal)?;
-    let cameras_dir = folder.path().join("cameras");
-    tokio::fs::create_dir(&cameras_dir).await.map_err(Problem::internal)?;
-    let (mut cameras, mut meshes) = (Vec::new(), Vec::new());
-    let (mut unit, mut scale) = ("m".to_owned(), 1.0);
-    while let Some(part) = form.next_field().await? {
-        match part.name() {
-            Some("cameras") => cameras.push(keep(part, &cameras_dir).await?),
-            Some("mesh") => {
-                let own = folder.path().join(format!("mesh-{}", meshes.len()));
-                tokio::fs::create_dir(&own).await.map_err(Problem::internal)?;
-                meshes.push(keep(part, &own).await?);
-            }
-            Some("unit") => unit = part.text().await?,
-            Some("scale") => {
-                let text = part.text().await?;
-                scale = text.trim().parse().map_err(|_| {
-                    Problem::bad_request("value_invalid", format!("scale is {text:?}, but must be a number"))
-                })?;
-            }
-            other => {
-                let words = format!("part {other:?} is unknown; send cameras, mesh, unit and scale");
-                return Err(Problem::bad_request("body_invalid", words));
-            }
-        }
-    }
-    let cameras = match cameras.as_slice() {
-        [] => return Err(Problem::bad_request("body_invalid", "no part named cameras was sent")),
-        [one] => one.clone(),
-        _ => cameras_dir,
+    // Before anything of it is taken.
+    let (desk, name) = (app.desk.clone(), session.clone());
+    blocking(move || desk.session(&name).map(drop)).await?;
+    let Ok(_place) = app.uploads.try_acquire() else {
+        let words =
+            format!("{} scenes are coming in already; send this one when they are here", staging::AT_ONCE);
+        return Err(Problem::new(StatusCode::TOO_MANY_REQUESTS, "uploads_busy", words));
     };
-    if meshes.is_empty() {
-        return Err(Problem::bad_request("body_invalid", "no part named mesh was sent"));
-    }
-    Ok(SceneFiles { folder, cameras, meshes, unit, scale })
-}
-
-/// Writes one part under its own file name.
-async fn keep(part: Field<'_>, folder: &std::path::Path) -> Result<PathBuf, Problem> {
-    let name = part.file_name().unwrap_or_default().to_owned();
-    let plain = !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\', '\0']);
-    if !plain || name.len() > 200 {
-        let words = format!("file name {name:?} cannot be used; send each file with its plain name");
-        return Err(Problem::bad_request("body_invalid", words));
-    }
-    let path = folder.join(name);
-    let bytes = part.bytes().await?;
-    tokio::fs::write(&path, &bytes).await.map_err(Problem::internal)?;
-    Ok(path)
+    let files = staging::stage(form, &std::env::temp_dir()).await?;
+    Ok(accepted(blocking(move || app.desk.import_scene(&session, files)).await?))
 }
 
 /// Shoots the calibration card with and without flash.

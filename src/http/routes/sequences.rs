@@ -18,7 +18,7 @@ pub(super) fn answer_to(error: &SequenceError) -> (StatusCode, &'static str) {
         SequenceError::Refused { .. } => (StatusCode::CONFLICT, "sequence_state"),
         SequenceError::Elsewhere { .. } => (StatusCode::CONFLICT, "sequence_position"),
         SequenceError::Unfinished { .. } => (StatusCode::CONFLICT, "sequence_unfinished"),
-        SequenceError::Session(_) => (StatusCode::INTERNAL_SERVER_ERROR, "session_failed"),
+        SequenceError::Session(error) => super::of_session(error),
     }
 }
 
@@ -28,7 +28,7 @@ pub(super) fn answer_to(error: &SequenceError) -> (StatusCode, &'static str) {
     responses((status = 200, body = SequenceBody),
         (status = 404, description = "`session_not_found`, `sequence_not_planned`", body = ProblemBody,
             content_type = "application/problem+json"),
-        (status = 409, description = "`session_locked`", body = ProblemBody,
+        (status = 409, description = "`session_locked`, `session_too_new`", body = ProblemBody,
             content_type = "application/problem+json")))]
 pub(super) async fn state(
     State(app): State<App>,
@@ -49,7 +49,7 @@ pub(super) async fn state(
         (status = 404, description = "`session_not_found`", body = ProblemBody,
             content_type = "application/problem+json"),
         (status = 409, description = "`sequence_state` (pause or cancel it first), `sequence_unfinished` (some of \
-            another number of positions are done: delete it first), `session_locked`", body = ProblemBody,
+            another number of positions are done: delete it first), `session_locked`, `session_too_new`, `disk_full`", body = ProblemBody,
             content_type = "application/problem+json")))]
 pub(super) async fn plan(
     State(app): State<App>,
@@ -67,7 +67,7 @@ pub(super) async fn plan(
     responses((status = 204, description = "removed"),
         (status = 404, description = "`session_not_found`, `sequence_not_planned`", body = ProblemBody,
             content_type = "application/problem+json"),
-        (status = 409, description = "`sequence_state` (a pair is being taken), `session_locked`",
+        (status = 409, description = "`sequence_state` (a pair is being taken), `session_locked`, `session_too_new`",
             body = ProblemBody, content_type = "application/problem+json")))]
 pub(super) async fn remove(
     State(app): State<App>,
@@ -89,7 +89,8 @@ pub(super) async fn remove(
         (status = 404, description = "`session_not_found`, `sequence_not_planned`", body = ProblemBody,
             content_type = "application/problem+json"),
         (status = 409, description = "`sequence_state` (not as it stands), `sequence_position` (it is elsewhere), \
-            `session_locked`", body = ProblemBody, content_type = "application/problem+json")))]
+            `session_locked`, `session_too_new`, `disk_full`", body = ProblemBody,
+            content_type = "application/problem+json")))]
 pub(super) async fn direct(
     State(app): State<App>,
     Path((session, wish)): Path<(String, SequenceWish)>,

@@ -1,9 +1,9 @@
 //! The simulated studio's stage; there only with `unlit serve --studio`.
 
 use crate::capture::Topic;
-use crate::http::bodies::{StageOrder, StudioBody};
 use crate::http::extract;
 use crate::http::problem::{Problem, ProblemBody};
+use crate::http::studio_bodies::{StageOrder, StudioBody};
 use crate::http::{App, StudioControl};
 use axum::Json;
 use axum::extract::State;

@@ -3,8 +3,8 @@
 use super::blocking;
 use super::jobs::accepted;
 use crate::http::App;
-use crate::http::bodies::JobBody;
 use crate::http::extract::Path;
+use crate::http::job_bodies::JobBody;
 use crate::http::problem::Problem;
 use axum::extract::State;
 use axum::response::Response;

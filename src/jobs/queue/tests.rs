@@ -192,12 +192,25 @@ fn what_waits_for_the_rig_to_rest_begins_then_or_when_somebody_asks_for_it() {
     assert_eq!(finished(&queue, waits).state, JobState::Done);
 }
 
+/// A queue that goes on where the one before in this folder ended.
+fn resumed(folder: &std::path::Path) -> Queue {
+    // The threads of the queue before hold the ledger's lock until they have ended.
+    let end = Instant::now() + Duration::from_secs(10);
+    let ledger = loop {
+        match Ledger::open(folder, |_| "cut short".into()) {
+            Ok(ledger) => break ledger,
+            Err(error) => assert!(Instant::now() < end, "{error}"),
+        }
+        std::thread::yield_now();
+    };
+    Queue::resume(ledger, |_| {}, |words| panic!("{words}")).unwrap()
+}
+
 #[test]
 fn a_queue_after_another_goes_on_counting_and_knows_what_was_cut_short() {
     let folder = tempfile::tempdir().unwrap();
-    let ledger = || Ledger::open(folder.path(), |_| "cut short".into()).unwrap();
     let (done, cut) = {
-        let queue = Queue::resume(ledger(), |_| {}, |words| panic!("{words}")).unwrap();
+        let queue = resumed(folder.path());
         let done = queue.enqueue(order("first", false, Box::new(|_| Ok(7.into())))).unwrap().id;
         assert_eq!(finished(&queue, done).state, JobState::Done);
         let (_, go) = gated(&queue, "second");
@@ -211,17 +224,8 @@ fn a_queue_after_another_goes_on_counting_and_knows_what_was_cut_short() {
         assert!(queue.shut_down(Duration::from_secs(10)));
         (done, cut.id)
     };
-    // The threads of the queue hold the ledger's lock until they have ended.
-    let end = Instant::now() + Duration::from_secs(10);
     std::fs::copy(folder.path().join("killed"), folder.path().join("jobs.jsonl")).unwrap();
-    let ledger = loop {
-        match Ledger::open(folder.path(), |_| "cut short".into()) {
-            Ok(ledger) => break ledger,
-            Err(error) => assert!(Instant::now() < end, "{error}"),
-        }
-        std::thread::yield_now();
-    };
-    let queue = Queue::resume(ledger, |_| {}, |words| panic!("{words}")).unwrap();
+    let queue = resumed(folder.path());
     let before = queue.get(done).unwrap();
     assert_eq!((before.state, before.result), (JobState::Done, Some(7.into())));
     assert_eq!(queue.get(cut).unwrap().state, JobState::Interrupted);
@@ -231,4 +235,78 @@ fn a_queue_after_another_goes_on_counting_and_knows_what_was_cut_short() {
     assert_eq!(queue.cancel(cut), Err(JobsError::Finished(cut)));
     let next = queue.enqueue(order("next", false, Box::new(|_| Ok(1.into())))).unwrap().id;
     assert_eq!(next, cut + 1);
+}
+
+fn quick(queue: &Queue) -> Result<Job, JobsError> {
+    queue.enqueue(order("pair", false, Box::new(|_| Ok(7.into()))))
+}
+
+#[test]
+fn a_key_stands_for_one_job_and_a_refused_wish_leaves_it_free() {
+    let queue = Queue::start(|_| {}).unwrap();
+    let refused = queue.once("a", "wish", || Err::<Job, _>(JobsError::Full));
+    assert_eq!(refused.err(), Some(JobsError::Full));
+    let (first, before) = queue.once("a", "other wish", || quick(&queue)).unwrap();
+    assert!(!before);
+    let again = queue.once("a", "other wish", || -> Result<_, JobsError> { panic!("asked twice") });
+    assert_eq!(again.map(|(job, before)| (job.id, before)), Ok((first.id, true)));
+    assert_eq!(queue.once("a", "wish", || quick(&queue)), Err(JobsError::KeyReused("a".into())));
+    assert_eq!(finished(&queue, first.id).result, Some(7.into()));
+}
+
+#[test]
+fn many_at_once_get_the_one_job_and_it_begins_only_when_its_key_is_known() {
+    let folder = tempfile::tempdir().unwrap();
+    let (queue, asked) = (resumed(folder.path()), std::sync::atomic::AtomicU32::new(0));
+    let ledger = folder.path().join("jobs.jsonl");
+    let start = std::sync::Barrier::new(8);
+    let ask = || {
+        asked.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
+        let ledger = ledger.clone();
+        let work: Work = Box::new(move |_| Ok(std::fs::read_to_string(ledger).unwrap().into()));
+        queue.enqueue(order("pair", false, work))
+    };
+    let once = || {
+        start.wait();
+        queue.once("many", "wish", ask).unwrap()
+    };
+    let all: Vec<_> = std::thread::scope(|scope| {
+        let asking: Vec<_> = (0..8).map(|_| scope.spawn(once)).collect();
+        asking.into_iter().map(|one| one.join().unwrap()).collect()
+    });
+    assert_eq!(asked.into_inner(), 1);
+    assert!(all.iter().all(|(job, _)| job.id == all[0].0.id));
+    assert_eq!(all.iter().filter(|(_, before)| !before).count(), 1);
+    let seen = finished(&queue, all[0].0.id).result.unwrap();
+    assert!(seen.as_str().unwrap().contains("\"event\":\"claimed\",\"key\":\"many\""), "{seen}");
+}
+
+#[test]
+fn keys_outlive_the_program_and_keep_their_jobs_from_being_forgotten() {
+    let folder = tempfile::tempdir().unwrap();
+    let (keyed, cut) = {
+        let queue = resumed(folder.path());
+        let (keyed, _) = queue.once("keyed", "wish", || quick(&queue)).unwrap();
+        finished(&queue, keyed.id);
+        let last = (0..REMEMBERED + 10).map(|_| finished(&queue, quick(&queue).unwrap().id)).last().unwrap();
+        assert_eq!(queue.get(keyed.id + 1), Err(JobsError::Unknown(keyed.id + 1)));
+        assert!(queue.get(keyed.id).is_ok() && queue.get(last.id).is_ok());
+        let (_, go) = gated(&queue, "second");
+        let (cut, _) = queue.once("cut", "wish", || quick(&queue)).unwrap();
+        std::fs::copy(folder.path().join("jobs.jsonl"), folder.path().join("killed")).unwrap();
+        go.send(()).unwrap();
+        assert!(queue.shut_down(Duration::from_secs(10)));
+        (keyed.id, cut.id)
+    };
+    std::fs::copy(folder.path().join("killed"), folder.path().join("jobs.jsonl")).unwrap();
+    for _ in 0..2 {
+        let queue = resumed(folder.path());
+        let again =
+            |key| queue.once(key, "wish", || -> Result<_, JobsError> { panic!("{key} was forgotten") });
+        let state = |key| again(key).map(|(job, before)| (job.id, job.state, before));
+        assert_eq!(state("keyed"), Ok((keyed, JobState::Done, true)));
+        assert_eq!(state("cut"), Ok((cut, JobState::Interrupted, true)));
+        assert_eq!(queue.once("cut", "other", || quick(&queue)), Err(JobsError::KeyReused("cut".into())));
+        assert!(queue.shut_down(Duration::from_secs(10)));
+    }
 }
