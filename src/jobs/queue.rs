@@ -55,31 +55,34 @@ impl Shared {
         self.book.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Changes a job under the lock, then tells of it without the lock.
+    /// Changes a job; the ledger, whose disk may be slow, hears of it without the lock.
     fn change(&self, id: JobId, change: impl FnOnce(&mut Job)) {
-        let (before, job) = {
-            let mut book = self.book();
-            let Some(entry) = book.entry(id) else { return };
-            let before = (entry.job.started.clone(), entry.job.state);
-            change(&mut entry.job);
-            let now = || Some(utc_now());
-            if entry.job.state == JobState::Running && entry.job.started.is_none() {
-                entry.job.started = now();
-            }
-            if entry.job.state.is_final() && entry.job.ended.is_none() {
-                entry.job.ended = now();
-            }
-            let job = entry.job.clone();
-            if job.lane == Lane::Rig && job.state.is_final() {
-                book.rig_ended();
-            }
-            book.forget_the_oldest();
-            (before, job)
-        };
-        if before != (job.started.clone(), job.state) {
+        let changed = self.apply(&mut self.book(), id, change);
+        if let Some(job) = changed {
             self.write_down(|ledger| ledger.changed(&job));
         }
+    }
+
+    /// Changes a job and tells of it under one lock: who listens hears of changes in the order in which they happened.
+    /// Gives the job if the ledger must hear of it.
+    fn apply(&self, book: &mut Book, id: JobId, change: impl FnOnce(&mut Job)) -> Option<Job> {
+        let entry = book.entry(id)?;
+        let before = (entry.job.started.clone(), entry.job.state);
+        change(&mut entry.job);
+        let now = || Some(utc_now());
+        if entry.job.state == JobState::Running && entry.job.started.is_none() {
+            entry.job.started = now();
+        }
+        if entry.job.state.is_final() && entry.job.ended.is_none() {
+            entry.job.ended = now();
+        }
+        let job = entry.job.clone();
+        if job.lane == Lane::Rig && job.state.is_final() {
+            book.rig_ended();
+        }
+        book.forget_the_oldest();
         (self.notice)(&job);
+        (before != (job.started.clone(), job.state)).then_some(job)
     }
 
     /// What the ledger cannot write is told; the work goes on.
@@ -97,8 +100,8 @@ impl Shared {
 pub struct Queue(Arc<Shared>);
 
 impl Queue {
-    /// Starts all lanes. `notice` hears of every change of any job, from the thread that made it, and must
-    /// not block. Nothing is written down.
+    /// Starts all lanes. `notice` hears of every change of any job, in the order in which they happen, from the thread
+    /// that made it; it must neither block nor ask the queue. Nothing is written down.
     pub fn start(notice: impl Fn(&Job) + Send + Sync + 'static) -> std::io::Result<Self> {
         Self::begin(Book::default(), Box::new(notice), None)
     }
@@ -178,8 +181,8 @@ impl Queue {
             }
             let work = Some(logged(&job, order.work));
             book.entries.push_back(Entry { job: job.clone(), progress, work, rest: order.rest });
+            (self.0.notice)(&job);
         }
-        (self.0.notice)(&job);
         self.0.woken.notify_all();
         Ok(job)
     }
