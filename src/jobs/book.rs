@@ -34,6 +34,8 @@ pub(super) struct Book {
     pub(super) last_id: JobId,
     pub(super) entries: VecDeque<Entry>,
     pub(super) closed: bool,
+    /// Changes of which the ledger has yet to hear.
+    pub(super) unwritten: usize,
     /// When the last job at the rig ended.
     rested_since: Option<Instant>,
     /// Turns that were given, and the last one of each subject.

@@ -59,12 +59,18 @@ impl Shared {
     fn change(&self, id: JobId, change: impl FnOnce(&mut Job)) {
         let changed = self.apply(&mut self.book(), id, change);
         if let Some(job) = changed {
-            self.write_down(|ledger| ledger.changed(&job));
+            self.write_change(&job);
         }
     }
 
+    fn write_change(&self, job: &Job) {
+        self.write_down(|ledger| ledger.changed(job));
+        self.book().unwritten -= 1;
+        self.woken.notify_all();
+    }
+
     /// Changes a job and tells of it under one lock: who listens hears of changes in the order in which they happened.
-    /// Gives the job if the ledger must hear of it.
+    /// Gives the job if the ledger must hear of it, by [`write_change`](Self::write_change).
     fn apply(&self, book: &mut Book, id: JobId, change: impl FnOnce(&mut Job)) -> Option<Job> {
         let entry = book.entry(id)?;
         let before = (entry.job.started.clone(), entry.job.state);
@@ -82,7 +88,9 @@ impl Shared {
         }
         book.forget_the_oldest();
         (self.notice)(&job);
-        (before != (job.started.clone(), job.state)).then_some(job)
+        let unwritten = before != (job.started.clone(), job.state);
+        book.unwritten += usize::from(unwritten);
+        unwritten.then_some(job)
     }
 
     /// What the ledger cannot write is told; the work goes on.
@@ -268,22 +276,21 @@ impl Queue {
         self.get(id)
     }
 
-    /// Takes no more jobs, cancels all that wait and asks those that run to stop. Returns once nothing runs
-    /// or `patience` is over; says whether everything came to rest.
-    pub fn shut_down(&self, patience: Duration) -> bool {
-        let ids: Vec<JobId> = {
-            let mut book = self.0.book();
-            book.closed = true;
-            book.entries.iter().filter(|e| !e.job.state.is_final()).map(|e| e.job.id).collect()
-        };
-        for id in ids {
-            // A job that ended in the meantime is what was wanted.
-            let _ended_already = self.cancel(id);
-        }
-        self.0.woken.notify_all();
+    /// Takes no more jobs, cancels all that wait and asks those that run to stop, then calls `closed`, all without waiting
+    /// for anybody's disk. Returns once nothing runs and the ledger has heard of it, or `patience` is over; says whether
+    /// everything came to rest.
+    pub fn shut_down(&self, patience: Duration, closed: impl FnOnce()) -> bool {
         let end = Instant::now() + patience;
+        let waited = self.close();
+        closed();
+        // A disk that hangs holds this thread, and nobody else.
+        let own = self.clone();
+        let writing = move || waited.iter().for_each(|job| own.0.write_change(job));
+        if let Err(error) = std::thread::Builder::new().name("jobs-end".into()).spawn(writing) {
+            tracing::error!("no thread to be had to write down what is cancelled: {error}");
+        }
         let mut book = self.0.book();
-        while book.entries.iter().any(|e| !e.job.state.is_final()) {
+        while book.unwritten > 0 || book.entries.iter().any(|e| !e.job.state.is_final()) {
             let left = end.saturating_duration_since(Instant::now());
             if left.is_zero() {
                 return false;
@@ -291,6 +298,20 @@ impl Queue {
             book = self.0.woken.wait_timeout(book, left).unwrap_or_else(PoisonError::into_inner).0;
         }
         true
+    }
+
+    /// Nothing is begun from now on. Gives the jobs that waited, of which the ledger has yet to hear.
+    fn close(&self) -> Vec<Job> {
+        let mut book = self.0.book();
+        book.closed = true;
+        let open = |e: &&mut Entry| !e.job.state.is_final();
+        book.entries.iter_mut().filter(open).for_each(|e| e.progress.cancel());
+        let waiting = book.entries.iter().filter(|e| e.job.state == JobState::Queued);
+        let waiting: Vec<JobId> = waiting.map(|e| e.job.id).collect();
+        let cancel = |id| self.0.apply(&mut book, id, |job| job.state = JobState::Cancelled);
+        let waited = waiting.into_iter().filter_map(cancel).collect();
+        self.0.woken.notify_all();
+        waited
     }
 }
 

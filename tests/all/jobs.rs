@@ -225,6 +225,58 @@ fn the_end_cancels_what_can_be_cancelled_and_closes_the_gate_past_what_cannot() 
     assert!(bureau.desk.close(PATIENCE));
 }
 
+const CHILD_FOLDER: &str = "UNLIT_TEST_END_ON_A_HANGING_DISK";
+
+/// Run by the test below in a process of its own, whose disk hangs while the file `hangs` is there.
+#[test]
+fn ends_on_a_disk_that_hangs() {
+    let Some(folder) = std::env::var_os(CHILD_FOLDER).map(PathBuf::from) else { return };
+    let room = Room::with(Trouble::HoldsAt(1));
+    let bureau = bureau(&folder.join("sessions"), &room);
+    let stuck = bureau.desk.take_pair(None, PairWish::default()).unwrap();
+    let waiting = bureau.desk.take_pair(None, PairWish::default()).unwrap();
+    let until = |what: &str, holds: &dyn Fn() -> bool| {
+        let end = Instant::now() + PATIENCE;
+        while !holds() {
+            assert!(Instant::now() < end, "{what}: {:?}", room.log());
+            std::thread::yield_now();
+        }
+    };
+    until("armed", &|| room.is_armed());
+    let hangs = folder.join("hangs");
+    std::fs::write(&hangs, b"").unwrap();
+    let patience = Duration::from_secs(3);
+    let asked = Instant::now();
+    std::thread::scope(|scope| {
+        let closing = scope.spawn(|| bureau.desk.close(patience));
+        until("the gate is closed", &|| !room.is_armed());
+        assert!(asked.elapsed() < patience / 2, "{:?}: the disk was waited for", asked.elapsed());
+        assert_eq!(bureau.desk.queue().get(waiting.id).unwrap().state, JobState::Cancelled);
+        assert!(!closing.join().unwrap(), "nothing came to rest");
+        assert!(asked.elapsed() < patience * 2, "{:?}", asked.elapsed());
+    });
+    std::fs::remove_file(&hangs).unwrap();
+    room.set(Trouble::None);
+    assert_eq!(bureau.ended(&stuck).state, JobState::Cancelled);
+    assert!(bureau.desk.close(PATIENCE));
+    let ledger = std::fs::read_to_string(folder.join("sessions/.unlit/jobs.jsonl")).unwrap();
+    assert_eq!(ledger.matches("\"cancelled\"").count(), 2, "{ledger}");
+}
+
+#[test]
+fn a_disk_that_hangs_neither_keeps_the_gate_open_nor_the_program() {
+    let home = tempfile::tempdir().unwrap();
+    let run = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "jobs::ends_on_a_disk_that_hangs", "--nocapture"])
+        .env(CHILD_FOLDER, home.path())
+        .env("LD_PRELOAD", crate::disk::faults())
+        .env("UNLIT_TEST_DISK_FOLDER", home.path().join("sessions"))
+        .env("UNLIT_TEST_DISK_HANGS", home.path().join("hangs"))
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{run:?}");
+}
+
 #[test]
 fn a_summary_reads_again_what_others_wrote() {
     let (_folder, sessions) = folder();

@@ -420,12 +420,12 @@ impl Desk {
         Ok(thumbnail::of_known_light(&session, &record)?)
     }
 
-    /// Takes no more jobs, cancels everything and waits a moment for it to end; says whether it did. A pair that is
-    /// being stored is stored; the gate is closed in any case.
+    /// Takes no more jobs, cancels everything and closes the gate at once; then waits a moment for all to end and says
+    /// whether it did. A pair that is being stored is stored.
     pub fn close(&self, patience: Duration) -> bool {
-        self.pause_sequences();
-        let ended = self.0.queue.shut_down(patience);
-        self.0.engine.close_gate();
+        let ended = self.0.queue.shut_down(patience, || self.close_gate());
+        // A pair that was between two steps may have opened it since.
+        self.close_gate();
         ended
     }
 

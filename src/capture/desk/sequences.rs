@@ -41,14 +41,6 @@ impl Desk {
         }
     }
 
-    /// Nothing new is begun from now on.
-    pub(super) fn pause_sequences(&self) {
-        for conductor in self.conductors().values() {
-            // One that is over or not begun needs no pause.
-            let _at_rest = conductor.wish(SequenceEvent::Pause, None);
-        }
-    }
-
     /// The sequences of the sessions that are open; never waits for a disk.
     pub fn sequences(&self) -> Vec<SequenceView> {
         self.conductors().values().filter_map(|conductor| conductor.view().ok()).collect()

@@ -152,9 +152,9 @@ fn the_queue_is_bounded_and_closes() {
     }
     let over = queue.enqueue(order("more", false, Box::new(|_| Ok(1.into()))));
     assert_eq!(over.err(), Some(JobsError::Full));
-    assert!(!queue.shut_down(Duration::from_millis(1)), "the first job still runs");
+    assert!(!queue.shut_down(Duration::from_millis(1), || {}), "the first job still runs");
     go.send(()).unwrap();
-    assert!(queue.shut_down(Duration::from_secs(10)));
+    assert!(queue.shut_down(Duration::from_secs(10), || {}));
     assert_eq!(queue.get(running).unwrap().state, JobState::Done);
     let closed = queue.enqueue(order("late", false, Box::new(|_| Ok(1.into()))));
     assert_eq!(closed.err(), Some(JobsError::Closed));
@@ -226,7 +226,7 @@ fn a_queue_after_another_goes_on_counting_and_knows_what_was_cut_short() {
         std::fs::copy(folder.path().join("jobs.jsonl"), folder.path().join("killed")).unwrap();
         go.send(()).unwrap();
         assert!(finished(&queue, cut.id).started.is_some());
-        assert!(queue.shut_down(Duration::from_secs(10)));
+        assert!(queue.shut_down(Duration::from_secs(10), || {}));
         (done, cut.id)
     };
     // The threads of the queue hold the ledger's lock until they have ended.
