@@ -104,6 +104,36 @@ impl Drop for Hanging {
     }
 }
 
+/// The first signal is being seen to then.
+fn until_the_door_is_shut(client: &crate::daemon::Client) {
+    let end = Instant::now() + PATIENCE;
+    while client.get("/status").is_ok() {
+        assert!(Instant::now() < end, "it goes on answering");
+        std::thread::yield_now();
+    }
+}
+
+#[test]
+fn a_second_signal_ends_at_once_while_a_mirror_that_hangs_is_waited_for() {
+    let home = tempfile::tempdir().unwrap();
+    let copy = home.path().join("other/vase");
+    std::fs::create_dir_all(&copy).unwrap();
+    // Whoever opens it to read waits for ever, as with a server that is gone.
+    let manifest = copy.join("session.json");
+    assert!(std::process::Command::new("mkfifo").arg(&manifest).status().unwrap().success());
+    let mirror = home.path().join("other");
+    let mut daemon = Daemon::start_with(home.path(), &["--mirror", mirror.to_str().unwrap()]);
+    let client = daemon.client();
+    client.post("/sessions", json!({ "name": "vase" })).unwrap();
+    daemon.signal("TERM");
+    until_the_door_is_shut(&client);
+    let asked = Instant::now();
+    daemon.signal("TERM");
+    assert_eq!(daemon.over(PATIENCE).code(), Some(1));
+    assert!(asked.elapsed() < Duration::from_secs(5), "{:?}", asked.elapsed());
+    daemon.expect_no_orphans();
+}
+
 #[test]
 fn a_camera_that_hangs_keeps_nobody_and_a_second_signal_ends_at_once() {
     for twice in [false, true] {
@@ -116,11 +146,7 @@ fn a_camera_that_hangs_keeps_nobody_and_a_second_signal_ends_at_once() {
         let asked = Instant::now();
         daemon.signal("TERM");
         if twice {
-            // The first is being seen to once the door is shut.
-            while client.get("/state").is_err_and(|e| matches!(e, ureq::Error::StatusCode(_))) {
-                assert!(asked.elapsed() < PATIENCE);
-                std::thread::yield_now();
-            }
+            until_the_door_is_shut(&client);
             daemon.signal("TERM");
         }
         let status = daemon.over(Duration::from_secs(30));
