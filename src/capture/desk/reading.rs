@@ -1,6 +1,7 @@
 //! Looking at sessions without keeping anybody from writing: pairs, files.
 
-use super::{Desk, DeskError, Sessions};
+use super::sessions::Sessions;
+use super::{Desk, DeskError};
 use crate::pair::PairRecord;
 use crate::session::{Session, SessionFile};
 use std::collections::BTreeMap;
