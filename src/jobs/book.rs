@@ -75,6 +75,12 @@ impl Book {
         Some(entry.job.clone())
     }
 
+    /// The work of jobs that were cancelled before they began: to be dropped where nobody waits.
+    pub(super) fn unused(&mut self) -> Vec<Work> {
+        let over = |e: &&mut Entry| e.job.state.is_final();
+        self.entries.iter_mut().filter(over).filter_map(|e| e.work.take()).collect()
+    }
+
     pub(super) fn forget_the_oldest(&mut self) {
         while self.entries.iter().filter(|e| e.job.state.is_final()).count() > REMEMBERED {
             let Some(at) = self.entries.iter().position(|e| e.job.state.is_final()) else { return };

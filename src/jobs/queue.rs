@@ -263,11 +263,16 @@ impl Queue {
             entry.job.state
         };
         match state {
-            JobState::Queued => self.0.change(id, |job| {
-                if job.state == JobState::Queued {
-                    job.state = JobState::Cancelled;
-                }
-            }),
+            JobState::Queued => {
+                self.0.change(id, |job| {
+                    if job.state == JobState::Queued {
+                        job.state = JobState::Cancelled;
+                    }
+                });
+                // What it holds may take time to go, or ask the queue.
+                let unused = self.0.book().unused();
+                drop(unused);
+            }
             JobState::Running => {}
             _ => return Err(JobsError::Finished(id)),
         }
@@ -285,7 +290,11 @@ impl Queue {
         closed();
         // A disk that hangs holds this thread, and nobody else.
         let own = self.clone();
-        let writing = move || waited.iter().for_each(|job| own.0.write_change(job));
+        let writing = move || {
+            waited.iter().for_each(|job| own.0.write_change(job));
+            let unused = own.0.book().unused();
+            drop(unused);
+        };
         if let Err(error) = std::thread::Builder::new().name("jobs-end".into()).spawn(writing) {
             tracing::error!("no thread to be had to write down what is cancelled: {error}");
         }

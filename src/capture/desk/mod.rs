@@ -32,7 +32,7 @@ use crate::session::{Lock, Session, SessionError};
 use serde_json::{Value, json};
 use sessions::Sessions;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, Condvar, Mutex, OnceLock};
 use std::time::Duration;
 
 /// What the desk keeps for itself in the folder of the sessions.
@@ -93,6 +93,8 @@ struct Inner {
     works: Works,
     after_pair: Option<AfterPair>,
     sessions: Mutex<Sessions>,
+    /// Somebody's turn with a session is over.
+    turned: Condvar,
     sequences: sequences::Sequences,
     /// Where second copies go, if that is wished.
     mirrors: OnceLock<PathBuf>,
@@ -150,6 +152,7 @@ impl Desk {
                 works,
                 after_pair,
                 sessions,
+                turned: Condvar::new(),
                 sequences,
                 mirrors: OnceLock::new(),
                 _alone: alone,

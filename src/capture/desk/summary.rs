@@ -48,12 +48,12 @@ impl Desk {
 
     /// One session in a few words. A session that is not open is opened for reading and closed again.
     pub fn summary(&self, name: &str) -> Result<SessionSummary, DeskError> {
-        let mut sessions = self.sessions();
-        let session = sessions.reader(&self.0.folder, name)?;
-        let current = sessions.current.as_deref() == Some(name);
-        let recovery = sessions.recovered.get(name).unwrap_or(session.recovery()).clone();
-        // Whoever asks for a session must not wait for this one's disk.
-        drop(sessions);
+        let session = self.reader(name)?;
+        let (current, recovery) = {
+            let sessions = self.sessions();
+            let recovery = sessions.recovered.get(name).unwrap_or(session.recovery());
+            (sessions.current.as_deref() == Some(name), recovery.clone())
+        };
         let manifest = session.manifest();
         let pairs = session.pairs()?;
         let results = ["model/model.glb", "model/report.html", "model/reflectance.exr", "model/stddev.exr"];
