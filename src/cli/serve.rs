@@ -11,11 +11,7 @@ use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::net::TcpListener;
-
-/// How long mirrors may take to come into step at the end.
-const MIRROR_PATIENCE: Duration = Duration::from_secs(10);
 
 #[derive(clap::Args)]
 pub(super) struct Args {
@@ -98,6 +94,11 @@ pub(super) fn run(args: Args, settled: &Settled) -> CliResult {
     if let Some(mirror) = &args.mirror {
         desk.mirror_to(mirror).map_err(CliError::new)?;
     }
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(CliError::new)?;
+    // Who cannot listen begins nothing.
+    let listener = runtime.block_on(TcpListener::bind(address)).map_err(|error| {
+        CliError::new(format!("cannot listen on {address}: {error}; choose another with --listen"))
+    })?;
     // A camera that is plugged in or out shows on the page without anybody asking.
     let looking = desk.clone();
     let _watch = usb::watch(move |_| drop(looking.look())).map_err(CliError::new)?;
@@ -107,25 +108,19 @@ pub(super) fn run(args: Args, settled: &Settled) -> CliResult {
         .name("resume".into())
         .spawn(move || resuming.resume())
         .map_err(CliError::new)?;
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(CliError::new)?;
-    runtime.block_on(answer(address, door, desk.clone(), studio.map(|s| s as Arc<dyn StudioControl>)))?;
-    for mirror in desk.finish_mirrors(MIRROR_PATIENCE) {
-        eprintln!("{}", mirror.words());
-    }
+    let studio = studio.map(|s| s as Arc<dyn StudioControl>);
+    let answered = runtime.block_on(answer(listener, door, desk, studio));
     // A handler that still waits for a device must not keep the program.
     runtime.shutdown_background();
-    Ok(Exit::Success)
+    answered.map(|()| Exit::Success)
 }
 
 async fn answer(
-    address: SocketAddr,
+    listener: TcpListener,
     door: Door,
     desk: Desk,
     studio: Option<Arc<dyn StudioControl>>,
 ) -> Result<(), CliError> {
-    let listener = TcpListener::bind(address).await.map_err(|error| {
-        CliError::new(format!("cannot listen on {address}: {error}; choose another with --listen"))
-    })?;
     let stop = stop::Stop::listen(desk.clone())?;
     let here = listener.local_addr().map_err(CliError::new)?;
     if here.ip().is_unspecified() {

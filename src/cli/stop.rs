@@ -10,6 +10,8 @@ use tokio::task::JoinHandle;
 
 /// How long running jobs may take to end after the signal to stop. A release under way may last its exposure.
 const LAST_PATIENCE: Duration = Duration::from_secs(10);
+/// How long mirrors may take to come into step after that.
+const MIRROR_PATIENCE: Duration = Duration::from_secs(10);
 
 /// Waits for signals from the moment it is made.
 pub(super) struct Stop {
@@ -56,7 +58,7 @@ impl Stop {
         }
     }
 
-    /// Resolves when the work has come to rest, or its time is over.
+    /// Resolves when the work has come to rest and mirrors are in step, or their time is over.
     pub(super) async fn ended(self) {
         if *self.asked.borrow() {
             drop(self.closing.await);
@@ -82,9 +84,15 @@ impl Signals {
 }
 
 async fn close(desk: Desk) {
-    match tokio::task::spawn_blocking(move || desk.close(LAST_PATIENCE)).await {
-        Ok(true) => {}
-        Ok(false) => tracing::warn!("some work did not end within {LAST_PATIENCE:?} and was abandoned"),
-        Err(panic) => tracing::error!("{panic}"),
+    let closing = tokio::task::spawn_blocking(move || {
+        if !desk.close(LAST_PATIENCE) {
+            tracing::warn!("some work did not end within {LAST_PATIENCE:?} and was abandoned");
+        }
+        for mirror in desk.finish_mirrors(MIRROR_PATIENCE) {
+            eprintln!("{}", mirror.words());
+        }
+    });
+    if let Err(panic) = closing.await {
+        tracing::error!("{panic}");
     }
 }

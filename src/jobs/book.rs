@@ -39,6 +39,8 @@ pub(super) struct Book {
     pub(super) held: bool,
     /// Keys under which jobs were asked for.
     pub(super) claims: Claims,
+    /// Changes of which the ledger has yet to hear.
+    pub(super) unwritten: usize,
     /// When the last job at the rig ended.
     rested_since: Option<Instant>,
     /// Turns that were given, and the last one of each subject.
@@ -76,6 +78,12 @@ impl Book {
         })?;
         entry.rest = entry.rest.min(order.rest);
         Some(entry.job.clone())
+    }
+
+    /// The work of jobs that were cancelled before they began: to be dropped where nobody waits.
+    pub(super) fn unused(&mut self) -> Vec<Work> {
+        let over = |e: &&mut Entry| e.job.state.is_final();
+        self.entries.iter_mut().filter(over).filter_map(|e| e.work.take()).collect()
     }
 
     /// The job that this key stands for at this moment; an error if it does so for another wish.

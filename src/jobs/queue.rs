@@ -61,31 +61,42 @@ impl Shared {
         self.book.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Changes a job under the lock, then tells of it without the lock.
+    /// Changes a job; the ledger, whose disk may be slow, hears of it without the lock.
     fn change(&self, id: JobId, change: impl FnOnce(&mut Job)) {
-        let (before, job) = {
-            let mut book = self.book();
-            let Some(entry) = book.entry(id) else { return };
-            let before = (entry.job.started.clone(), entry.job.state);
-            change(&mut entry.job);
-            let now = || Some(utc_now());
-            if entry.job.state == JobState::Running && entry.job.started.is_none() {
-                entry.job.started = now();
-            }
-            if entry.job.state.is_final() && entry.job.ended.is_none() {
-                entry.job.ended = now();
-            }
-            let job = entry.job.clone();
-            if job.lane == Lane::Rig && job.state.is_final() {
-                book.rig_ended();
-            }
-            book.forget_the_oldest();
-            (before, job)
-        };
-        if before != (job.started.clone(), job.state) {
-            self.write_down(|ledger| ledger.changed(&job));
+        let changed = self.apply(&mut self.book(), id, change);
+        if let Some(job) = changed {
+            self.write_change(&job);
         }
+    }
+
+    fn write_change(&self, job: &Job) {
+        self.write_down(|ledger| ledger.changed(job));
+        self.book().unwritten -= 1;
+        self.woken.notify_all();
+    }
+
+    /// Changes a job and tells of it under one lock: who listens hears of changes in the order in which they happened.
+    /// Gives the job if the ledger must hear of it, by [`write_change`](Self::write_change).
+    fn apply(&self, book: &mut Book, id: JobId, change: impl FnOnce(&mut Job)) -> Option<Job> {
+        let entry = book.entry(id)?;
+        let before = (entry.job.started.clone(), entry.job.state);
+        change(&mut entry.job);
+        let now = || Some(utc_now());
+        if entry.job.state == JobState::Running && entry.job.started.is_none() {
+            entry.job.started = now();
+        }
+        if entry.job.state.is_final() && entry.job.ended.is_none() {
+            entry.job.ended = now();
+        }
+        let job = entry.job.clone();
+        if job.lane == Lane::Rig && job.state.is_final() {
+            book.rig_ended();
+        }
+        book.forget_the_oldest();
         (self.notice)(&job);
+        let unwritten = before != (job.started.clone(), job.state);
+        book.unwritten += usize::from(unwritten);
+        unwritten.then_some(job)
     }
 
     /// What the ledger cannot write is told; the work goes on.
@@ -103,8 +114,8 @@ impl Shared {
 pub struct Queue(Arc<Shared>);
 
 impl Queue {
-    /// Starts all lanes. `notice` hears of every change of any job, from the thread that made it, and must
-    /// not block. Nothing is written down.
+    /// Starts all lanes. `notice` hears of every change of any job, in the order in which they happen, from the thread
+    /// that made it; it must neither block nor ask the queue. Nothing is written down.
     pub fn start(notice: impl Fn(&Job) + Send + Sync + 'static) -> std::io::Result<Self> {
         Self::begin(Book::default(), Box::new(notice), None)
     }
@@ -190,8 +201,8 @@ impl Queue {
             }
             let work = Some(logged(&job, order.work));
             book.entries.push_back(Entry { job: job.clone(), progress, work, rest: order.rest });
+            (self.0.notice)(&job);
         }
-        (self.0.notice)(&job);
         self.0.woken.notify_all();
         Ok(job)
     }
@@ -287,11 +298,16 @@ impl Queue {
             entry.job.state
         };
         match state {
-            JobState::Queued => self.0.change(id, |job| {
-                if job.state == JobState::Queued {
-                    job.state = JobState::Cancelled;
-                }
-            }),
+            JobState::Queued => {
+                self.0.change(id, |job| {
+                    if job.state == JobState::Queued {
+                        job.state = JobState::Cancelled;
+                    }
+                });
+                // What it holds may take time to go, or ask the queue.
+                let unused = self.0.book().unused();
+                drop(unused);
+            }
             JobState::Running => {}
             _ => return Err(JobsError::Finished(id)),
         }
@@ -300,22 +316,25 @@ impl Queue {
         self.get(id)
     }
 
-    /// Takes no more jobs, cancels all that wait and asks those that run to stop. Returns once nothing runs
-    /// or `patience` is over; says whether everything came to rest.
-    pub fn shut_down(&self, patience: Duration) -> bool {
-        let ids: Vec<JobId> = {
-            let mut book = self.0.book();
-            book.closed = true;
-            book.entries.iter().filter(|e| !e.job.state.is_final()).map(|e| e.job.id).collect()
-        };
-        for id in ids {
-            // A job that ended in the meantime is what was wanted.
-            let _ended_already = self.cancel(id);
-        }
-        self.0.woken.notify_all();
+    /// Takes no more jobs, cancels all that wait and asks those that run to stop, then calls `closed`, all without waiting
+    /// for anybody's disk. Returns once nothing runs and the ledger has heard of it, or `patience` is over; says whether
+    /// everything came to rest.
+    pub fn shut_down(&self, patience: Duration, closed: impl FnOnce()) -> bool {
         let end = Instant::now() + patience;
+        let waited = self.close();
+        closed();
+        // A disk that hangs holds this thread, and nobody else.
+        let own = self.clone();
+        let writing = move || {
+            waited.iter().for_each(|job| own.0.write_change(job));
+            let unused = own.0.book().unused();
+            drop(unused);
+        };
+        if let Err(error) = std::thread::Builder::new().name("jobs-end".into()).spawn(writing) {
+            tracing::error!("no thread to be had to write down what is cancelled: {error}");
+        }
         let mut book = self.0.book();
-        while book.entries.iter().any(|e| !e.job.state.is_final()) {
+        while book.unwritten > 0 || book.entries.iter().any(|e| !e.job.state.is_final()) {
             let left = end.saturating_duration_since(Instant::now());
             if left.is_zero() {
                 return false;
@@ -323,6 +342,20 @@ impl Queue {
             book = self.0.woken.wait_timeout(book, left).unwrap_or_else(PoisonError::into_inner).0;
         }
         true
+    }
+
+    /// Nothing is begun from now on. Gives the jobs that waited, of which the ledger has yet to hear.
+    fn close(&self) -> Vec<Job> {
+        let mut book = self.0.book();
+        book.closed = true;
+        let open = |e: &&mut Entry| !e.job.state.is_final();
+        book.entries.iter_mut().filter(open).for_each(|e| e.progress.cancel());
+        let waiting = book.entries.iter().filter(|e| e.job.state == JobState::Queued);
+        let waiting: Vec<JobId> = waiting.map(|e| e.job.id).collect();
+        let cancel = |id| self.0.apply(&mut book, id, |job| job.state = JobState::Cancelled);
+        let waited = waiting.into_iter().filter_map(cancel).collect();
+        self.0.woken.notify_all();
+        waited
     }
 }
 

@@ -28,9 +28,14 @@ pub(crate) type Answer<T> = Result<T, ureq::Error>;
 impl Daemon {
     /// Serves `home/sessions`; `home` marks all its processes.
     pub(crate) fn start(home: &Path) -> Self {
+        Self::start_with(home, &[])
+    }
+
+    pub(crate) fn start_with(home: &Path, options: &[&str]) -> Self {
         let mut process = Command::new(env!("CARGO_BIN_EXE_unlit"))
             .args(["serve", "--studio", "--listen", "127.0.0.1:0", "--sessions"])
             .arg(home.join("sessions"))
+            .args(options)
             .env("HOME", home)
             .stdout(Stdio::piped())
             .spawn()

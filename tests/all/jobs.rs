@@ -13,7 +13,7 @@ use unlit::capture::{Desk, DeskError, Engine, Events, PairWish, SceneFiles, Work
 use unlit::jobs::{Job, JobState, JobsError};
 use unlit::pair::Limits;
 use unlit::progress::Progress;
-use unlit::session::Session;
+use unlit::session::{Session, SessionError};
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -115,6 +115,43 @@ fn a_start_processes_what_is_due_names_what_was_cut_short_and_leaves_others_alon
         bureau.desk.summary("cut").unwrap().recovered[0].contains("Pair 0001"),
         "told as long as it is so"
     );
+}
+
+#[test]
+fn a_session_that_was_opened_for_its_processing_is_mirrored_and_goes_with_the_job_unless_somebody_wants_it() {
+    let (folder, sessions) = folder();
+    let mirrors = folder.path().join("other");
+    std::fs::create_dir(&mirrors).unwrap();
+    let names = ["cancelled", "done", "wanted"];
+    let paths = names.map(|name| shot_and_left(&sessions, name, &Room::default()));
+    // As long as a pair is shot, no processing begins by itself.
+    let room = Room::with(Trouble::HoldsAt(0));
+    let bureau = bureau(&sessions, &room);
+    bureau.desk.mirror_to(&mirrors).unwrap();
+    bureau.desk.enter("other").unwrap();
+    let pair = bureau.desk.take_pair(None, PairWish::default()).unwrap();
+    bureau.desk.resume();
+    let process = bureau.of_kind("process");
+    assert_eq!(process.len(), 3, "{process:?}");
+    let of = |name: &str| process.iter().find(|job| job.subject == name).unwrap();
+    let is_open = |path: &Path| matches!(Session::open(path), Err(SessionError::Locked { .. }));
+    assert_eq!(paths.each_ref().map(|path| is_open(path)), [true, true, true]);
+
+    bureau.desk.queue().cancel(of("cancelled").id).unwrap();
+    assert!(!is_open(&paths[0]), "nobody has it any more");
+    let wanted = bureau.desk.session("wanted").unwrap();
+    room.set(Trouble::None);
+    bureau.ended(&pair);
+    drop(wanted);
+    for name in ["done", "wanted"] {
+        assert_eq!(bureau.ended(of(name)).state, JobState::Done);
+    }
+    assert_eq!([is_open(&paths[1]), is_open(&paths[2])], [false, true]);
+    // What is let go has been taken in by its mirror before.
+    for name in ["cancelled", "done"] {
+        let copy = Session::open(&mirrors.join(name)).unwrap();
+        assert_eq!(copy.pairs().unwrap().len(), 1, "{name}");
+    }
 }
 
 #[test]
@@ -223,6 +260,58 @@ fn the_end_cancels_what_can_be_cancelled_and_closes_the_gate_past_what_cannot() 
     room.set(Trouble::None);
     assert_eq!(bureau.ended(&stuck).state, JobState::Cancelled);
     assert!(bureau.desk.close(PATIENCE));
+}
+
+const CHILD_FOLDER: &str = "UNLIT_TEST_END_ON_A_HANGING_DISK";
+
+/// Run by the test below in a process of its own, whose disk hangs while the file `hangs` is there.
+#[test]
+fn ends_on_a_disk_that_hangs() {
+    let Some(folder) = std::env::var_os(CHILD_FOLDER).map(PathBuf::from) else { return };
+    let room = Room::with(Trouble::HoldsAt(1));
+    let bureau = bureau(&folder.join("sessions"), &room);
+    let stuck = bureau.desk.take_pair(None, PairWish::default()).unwrap();
+    let waiting = bureau.desk.take_pair(None, PairWish::default()).unwrap();
+    let until = |what: &str, holds: &dyn Fn() -> bool| {
+        let end = Instant::now() + PATIENCE;
+        while !holds() {
+            assert!(Instant::now() < end, "{what}: {:?}", room.log());
+            std::thread::yield_now();
+        }
+    };
+    until("armed", &|| room.is_armed());
+    let hangs = folder.join("hangs");
+    std::fs::write(&hangs, b"").unwrap();
+    let patience = Duration::from_secs(3);
+    let asked = Instant::now();
+    std::thread::scope(|scope| {
+        let closing = scope.spawn(|| bureau.desk.close(patience));
+        until("the gate is closed", &|| !room.is_armed());
+        assert!(asked.elapsed() < patience / 2, "{:?}: the disk was waited for", asked.elapsed());
+        assert_eq!(bureau.desk.queue().get(waiting.id).unwrap().state, JobState::Cancelled);
+        assert!(!closing.join().unwrap(), "nothing came to rest");
+        assert!(asked.elapsed() < patience * 2, "{:?}", asked.elapsed());
+    });
+    std::fs::remove_file(&hangs).unwrap();
+    room.set(Trouble::None);
+    assert_eq!(bureau.ended(&stuck).state, JobState::Cancelled);
+    assert!(bureau.desk.close(PATIENCE));
+    let ledger = std::fs::read_to_string(folder.join("sessions/.unlit/jobs.jsonl")).unwrap();
+    assert_eq!(ledger.matches("\"cancelled\"").count(), 2, "{ledger}");
+}
+
+#[test]
+fn a_disk_that_hangs_neither_keeps_the_gate_open_nor_the_program() {
+    let home = tempfile::tempdir().unwrap();
+    let run = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "jobs::ends_on_a_disk_that_hangs", "--nocapture"])
+        .env(CHILD_FOLDER, home.path())
+        .env("LD_PRELOAD", crate::disk::faults())
+        .env("UNLIT_TEST_DISK_FOLDER", home.path().join("sessions"))
+        .env("UNLIT_TEST_DISK_HANGS", home.path().join("hangs"))
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{run:?}");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use crate::fake_rig::Room;
 use serde_json::json;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
@@ -50,6 +50,38 @@ fn two_daemons_do_not_share_a_sessions_folder() {
     let own = format!("(process {} on ", std::process::id());
     assert!(refused.contains(&own) && refused.contains("--sessions"), "{refused}");
     assert_eq!(first.summaries().unwrap().len(), 1, "the lock is no session");
+}
+
+#[test]
+fn a_session_that_is_slow_to_open_is_opened_once_and_holds_up_nobody_who_wants_another() {
+    let home = tempfile::tempdir().unwrap();
+    let slow = home.path().join("slow");
+    drop(Session::create(&slow, "slow").unwrap());
+    // Its journal comes when this test writes it, as from a disk that sleeps.
+    let (journal, kept, pipe) =
+        (slow.join("journal.jsonl"), home.path().join("kept"), home.path().join("pipe"));
+    std::fs::rename(&journal, &kept).unwrap();
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    std::fs::hard_link(&pipe, &journal).unwrap();
+    let desk = desk(home.path()).unwrap();
+    std::thread::scope(|scope| {
+        let wanted = [(); 2].map(|()| scope.spawn(|| desk.session("slow").unwrap()));
+        // Opens once somebody reads: the session is being opened from here on.
+        let mut disk = std::fs::OpenOptions::new().write(true).open(&pipe).unwrap();
+        assert_eq!(desk.glance().session, None);
+        desk.enter("other").unwrap();
+        assert_eq!(
+            (desk.glance().session.as_deref(), desk.summary("other").unwrap().pairs),
+            (Some("other"), 0)
+        );
+        assert!(wanted.iter().all(|opening| !opening.is_finished()));
+        let text = std::fs::read(&kept).unwrap();
+        std::fs::rename(&kept, &journal).unwrap();
+        disk.write_all(&text).unwrap();
+        drop(disk);
+        let [first, second] = wanted.map(|opening| opening.join().unwrap());
+        assert!(Arc::ptr_eq(&first, &second));
+    });
 }
 
 const CHILD_FOLDER: &str = "UNLIT_TEST_HOLD_UNTIL_KILLED";

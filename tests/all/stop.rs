@@ -1,6 +1,8 @@
-//! The real daemon is told to stop: in the middle of a pair, with a camera that hangs, and twice.
+//! The daemon is told to stop: in the middle of a pair, with a camera that hangs, and twice.
 
+use crate::api::House;
 use crate::daemon::Daemon;
+use crate::fake_rig::{Room, Trouble};
 use serde_json::{Value, json};
 use std::io::Read;
 use std::path::Path;
@@ -104,6 +106,36 @@ impl Drop for Hanging {
     }
 }
 
+/// The first signal is being seen to then.
+fn until_the_door_is_shut(client: &crate::daemon::Client) {
+    let end = Instant::now() + PATIENCE;
+    while client.get("/status").is_ok() {
+        assert!(Instant::now() < end, "it goes on answering");
+        std::thread::yield_now();
+    }
+}
+
+#[test]
+fn a_second_signal_ends_at_once_while_a_mirror_that_hangs_is_waited_for() {
+    let home = tempfile::tempdir().unwrap();
+    let copy = home.path().join("other/vase");
+    std::fs::create_dir_all(&copy).unwrap();
+    // Whoever opens it to read waits for ever, as with a server that is gone.
+    let manifest = copy.join("session.json");
+    assert!(std::process::Command::new("mkfifo").arg(&manifest).status().unwrap().success());
+    let mirror = home.path().join("other");
+    let mut daemon = Daemon::start_with(home.path(), &["--mirror", mirror.to_str().unwrap()]);
+    let client = daemon.client();
+    client.post("/sessions", json!({ "name": "vase" })).unwrap();
+    daemon.signal("TERM");
+    until_the_door_is_shut(&client);
+    let asked = Instant::now();
+    daemon.signal("TERM");
+    assert_eq!(daemon.over(PATIENCE).code(), Some(1));
+    assert!(asked.elapsed() < Duration::from_secs(5), "{:?}", asked.elapsed());
+    daemon.expect_no_orphans();
+}
+
 #[test]
 fn a_camera_that_hangs_keeps_nobody_and_a_second_signal_ends_at_once() {
     for twice in [false, true] {
@@ -116,11 +148,7 @@ fn a_camera_that_hangs_keeps_nobody_and_a_second_signal_ends_at_once() {
         let asked = Instant::now();
         daemon.signal("TERM");
         if twice {
-            // The first is being seen to once the door is shut.
-            while client.get("/state").is_err_and(|e| matches!(e, ureq::Error::StatusCode(_))) {
-                assert!(asked.elapsed() < PATIENCE);
-                std::thread::yield_now();
-            }
+            until_the_door_is_shut(&client);
             daemon.signal("TERM");
         }
         let status = daemon.over(Duration::from_secs(30));
@@ -143,4 +171,29 @@ fn a_camera_that_hangs_keeps_nobody_and_a_second_signal_ends_at_once() {
         let written = session.journal().unwrap().iter().filter(|entry| given_up(entry)).count();
         assert_eq!(named + written, 1, "{named} named, {written} written down");
     }
+}
+
+#[test]
+fn a_live_picture_that_does_not_come_is_not_waited_for() {
+    let room = Room::with(Trouble::HoldsAt(0));
+    let house = House::open(room.rig());
+    house.post_nothing("/api/v1/pairs");
+    let end = Instant::now() + PATIENCE;
+    while !room.log().contains(&"shoot") {
+        assert!(Instant::now() < end, "{:?}", room.log());
+        std::thread::yield_now();
+    }
+    let url = house.url("/api/v1/live.jpg");
+    let waiting = std::thread::spawn(move || {
+        let mut answer = crate::api::agent().get(url).call().unwrap();
+        (answer.status().as_u16(), answer.body_mut().read_json::<Value>().unwrap())
+    });
+    // What was asked before is being seen to when this is answered.
+    assert_eq!(house.get("/api/v1/status").0, 200);
+    let asked = Instant::now();
+    drop(house);
+    assert!(asked.elapsed() < Duration::from_secs(5), "{:?}", asked.elapsed());
+    let (status, problem) = waiting.join().unwrap();
+    assert_eq!((status, &problem["code"]), (503, &json!("closing")), "{problem}");
+    room.set(Trouble::None);
 }

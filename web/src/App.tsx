@@ -13,6 +13,7 @@ import { words } from "./words";
 export function App() {
   const live = useLive();
   const studio = live.state?.studio ?? null;
+  const mirror = live.session?.mirror;
   return (
     <>
       <header>
@@ -30,6 +31,11 @@ export function App() {
       </header>
       <div class="notices" aria-live="assertive">
         {!live.connected && <p class="notice lost">{words.lost}</p>}
+        {mirror?.state === "failing" && (
+          <p class="notice mirror" role="alert">
+            {mirror.words}
+          </p>
+        )}
         {live.troubles.length > 0 && (
           <div class="notice trouble" role="alert">
             <div>

@@ -10,6 +10,7 @@ export function Pairs({ live }: { live: Live }) {
   const rejected = live.pairs.filter((pair) => pair.verdict === "rejected").length;
   const good = live.pairs.length - rejected;
   const room = live.session?.room?.pairs;
+  const mirror = live.session?.mirror;
   return (
     <section class="pairs" aria-labelledby="pairs">
       <div class="head">
@@ -21,6 +22,8 @@ export function Pairs({ live }: { live: Live }) {
             {room != null && <span class={room < FEW ? "scarce" : undefined}>, {words.room(room)}</span>}
           </span>
         )}
+        {mirror?.state === "behind" && <span class="dim">{mirror.words}</span>}
+        {mirror?.state === "failing" && <span class="scarce">{words.noCopy}</span>}
       </div>
       {live.pairs.length === 0 ? (
         <p class="dim">{words.noPairs}</p>

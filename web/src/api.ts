@@ -159,6 +159,13 @@ export interface Session {
   confirmed: string[];
   results: { name: string; url: string }[];
   room?: { free_bytes: number; pairs?: number | null } | null;
+  mirror?: Mirror | null;
+}
+
+/** The second copy on another disk. */
+export interface Mirror {
+  state: "behind" | "in_step" | "failing";
+  words: string;
 }
 
 export interface Studio {

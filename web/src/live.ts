@@ -1,7 +1,16 @@
 // The state of the house, kept up to date by server-sent events.
 
 import { useCallback, useEffect, useRef, useState } from "preact/hooks";
-import { api, type Devices, type Job, type Pair, type Session, type State, type Studio } from "./api";
+import {
+  api,
+  type Devices,
+  type Job,
+  type Mirror,
+  type Pair,
+  type Session,
+  type State,
+  type Studio,
+} from "./api";
 import { type Sequence, withSequence } from "./sequence";
 
 export interface Live {
@@ -25,6 +34,9 @@ export interface Live {
 
 /** Jobs that use camera and flash, which only one can at a time. */
 const RIG = ["pair", "flash_shots", "find_exposure", "repeatability"];
+
+/** How often a second copy that is behind is looked at: that it fails or is in step again is told, how far it is not. */
+const BEHIND_MS = 2000;
 
 const isActive = (job: Job) => job.state === "running" || job.state === "queued";
 
@@ -71,8 +83,18 @@ export function useLive(): Live {
       if (name === null) return;
       const [about, taken] = await Promise.all([attempt(api.session(name)), attempt(api.pairs(name))]);
       if (asked.current !== question) return;
-      if (about) setSession(about);
+      if (about) show(about, question);
       if (taken) setPairs(taken.reverse());
+    };
+    const show = (about: Session, question: number) => {
+      setSession(about);
+      if (about.mirror?.state !== "behind") return;
+      setTimeout(() => {
+        if (asked.current !== question) return;
+        void attempt(api.session(about.name)).then((now) => {
+          if (now && asked.current === question) show(now, question);
+        });
+      }, BEHIND_MS);
     };
     const change = (part: Partial<State>) => setState((before) => before && { ...before, ...part });
 
@@ -105,6 +127,10 @@ export function useLive(): Live {
     on<Told<Sequence>>("sequence", ({ data }) =>
       setState((before) => before && { ...before, sequences: withSequence(before.sequences, data) }),
     );
+    on<Told<{ session: string; mirror: Mirror }>>("mirror", ({ words, data }) => {
+      if (data.session !== current.current) return;
+      setSession((before) => before && { ...before, mirror: { state: data.mirror.state, words } });
+    });
     on<Told<null>>("trouble", (told) => trouble(told.words));
     on<Told<Job>>("job", ({ data: job }) => {
       setState(

@@ -38,6 +38,7 @@ export const words = {
   create: "Create",
   pairs: "Pairs",
   noPairs: "No pairs yet.",
+  noCopy: "no second copy: see above",
   room: (pairs: number) => `room for ${pairs} more`,
   off: "Flash off",
   on: "Flash on",

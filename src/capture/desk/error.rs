@@ -1,6 +1,6 @@
 //! Why a wish was not taken, and how a job's errors become the queue's.
 
-use super::NAME_LIMIT;
+use super::sessions::NAME_LIMIT;
 use crate::capture::error::CaptureError;
 use crate::capture::place::PlaceError;
 use crate::capture::sequence::SequenceError;

@@ -29,9 +29,6 @@ impl Desk {
     /// Begins to copy a session that was opened, if that is wished.
     pub(super) fn mirror(&self, session: &Arc<Session>) {
         let Some(mirrors) = self.0.mirrors.get() else { return };
-        if session.mirror().is_some() {
-            return;
-        }
         let (events, name) = (self.0.events.clone(), name_of(session));
         let tell = move |status: &MirrorStatus| {
             events.tell(Topic::Mirror, status.words(), json!({ "session": name, "mirror": status }));

@@ -1,29 +1,12 @@
 //! Looking at sessions without keeping anybody from writing: pairs, files.
 
-use super::{Desk, DeskError, Sessions};
+use super::{Desk, DeskError};
 use crate::pair::PairRecord;
-use crate::session::{Session, SessionFile};
+use crate::session::SessionFile;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::path::Path;
-use std::sync::Arc;
-
-impl Sessions {
-    /// A session to look at: the one that is open, else one that keeps nobody from writing.
-    pub(super) fn reader(&mut self, folder: &Path, name: &str) -> Result<Arc<Session>, DeskError> {
-        match self.open.get(name) {
-            Some(session) => Ok(session.clone()),
-            None => Ok(Arc::new(self.peek(folder, name)?)),
-        }
-    }
-}
 
 impl Desk {
-    /// A session that is there, to look at: it is not kept open, and not kept from others.
-    pub fn reader(&self, name: &str) -> Result<Arc<Session>, DeskError> {
-        self.sessions().reader(&self.0.folder, name)
-    }
-
     /// All attempts at all pairs of a session, by number and in their order.
     pub fn attempts(&self, session: &str) -> Result<BTreeMap<u32, Vec<PairRecord>>, DeskError> {
         Ok(self.reader(session)?.attempts()?)

@@ -6,7 +6,6 @@ use crate::capture::events::Topic;
 use crate::jobs::{Job, JobState, JobsError, Lane};
 use crate::session::{Session, SessionError};
 use serde_json::json;
-use std::sync::Arc;
 
 /// What it means that the program ended before this job did.
 pub(super) fn words_on_interrupted(job: &Job) -> String {
@@ -57,12 +56,9 @@ impl Desk {
     }
 
     fn resume_session(&self, name: &str) -> Result<(), DeskError> {
-        let (session, was_open) = {
-            let mut sessions = self.sessions();
-            match sessions.open.get(name).cloned() {
-                Some(session) => (session, true),
-                None => (Arc::new(sessions.peek(&self.0.folder, name)?), false),
-            }
+        let (session, was_open) = match self.open_session(name) {
+            Some(session) => (session, true),
+            None => (self.reader(name)?, false),
         };
         let due = self.is_due(&session)?;
         // One that is open has told what was interrupted.
@@ -70,13 +66,9 @@ impl Desk {
         drop(session);
         if due {
             // Opening it tells what was interrupted, and puts it right.
-            // The desk is held until the session is the job's alone: it may end at once, and let the session go.
-            let mut sessions = self.sessions();
-            let session = sessions.get(&self.0.folder, name, &self.0.events)?;
+            let session = self.lend(name)?;
             let ask = Ask::new("process", Lane::Processing).unasked(REST);
-            let ask = if was_open { ask } else { ask.letting_go() };
-            self.retrying_process(name).enqueue_process(&session, ask)?;
-            drop(session);
+            self.retrying_process(name).enqueue_process(session, ask)?;
         } else if !interrupted.is_empty() {
             let data = json!({ "code": "session_recovered", "session": name });
             self.0.events.tell(Topic::Recovery, format!("{name}: {}", interrupted.join(" ")), data);

@@ -41,14 +41,6 @@ impl Desk {
         }
     }
 
-    /// Nothing new is begun from now on.
-    pub(super) fn pause_sequences(&self) {
-        for conductor in self.conductors().values() {
-            // One that is over or not begun needs no pause.
-            let _at_rest = conductor.wish(SequenceEvent::Pause, None);
-        }
-    }
-
     /// The sequences of the sessions that are open; never waits for a disk.
     pub fn sequences(&self) -> Vec<SequenceView> {
         self.conductors().values().filter_map(|conductor| conductor.view().ok()).collect()
@@ -56,8 +48,7 @@ impl Desk {
 
     /// How a session's sequence stands. A session that is not open is looked at and kept from nobody.
     pub fn sequence(&self, session: &str) -> Result<SequenceView, DeskError> {
-        let open = self.sessions().open.get(session).cloned();
-        match open {
+        match self.open_session(session) {
             Some(session) => Ok(self.conductor(&session)?.view()?),
             None => Ok(read_sequence(&*self.reader(session)?)?),
         }
@@ -112,7 +103,7 @@ impl Shooter for ByJobs {
     fn begin(&self, conductor: &Arc<Conductor>, position: u32) -> Result<(), String> {
         let desk = self.desk().ok_or("the program is ending")?;
         let (conductor, session, own) = (conductor.clone(), self.session.clone(), desk.clone());
-        let queued = desk.enqueue("pair", &self.session, Lane::Rig, false, move |progress| {
+        let queued = desk.enqueue("pair", name_of(&self.session), Lane::Rig, false, move |progress| {
             let record = conductor.take_pair(&own.0.engine, own.0.after_pair.as_ref(), progress)?;
             own.go_on_from(&session, &record);
             let (session, number) = (name_of(&session), record.number);

@@ -2,6 +2,7 @@
 
 use super::works::Ask;
 use super::{Desk, DeskError};
+use crate::capture::place::name_of;
 use crate::jobs::{Job, Lane, WorkError};
 use crate::progress::Cancelled;
 use crate::session::Verification;
@@ -13,7 +14,7 @@ impl Desk {
     pub fn verify(&self, session: &str) -> Result<Job, DeskError> {
         let session = self.session(session)?;
         let ask = Ask::new("verify", Lane::Processing).again(json!({})).coalescing();
-        self.ask(ask, &session.clone(), move |progress| {
+        self.ask(ask, name_of(&session), move |progress| {
             let found: Verification = session.verify(progress).map_err(|Cancelled| WorkError::Cancelled)?;
             let mut result = json!(found);
             result["whole"] = json!(found.is_whole());

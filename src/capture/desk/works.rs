@@ -15,6 +15,7 @@ use crate::pair::{Exposure, PairRecord, Plan, Verdict};
 use crate::progress::Progress;
 use crate::session::Session;
 use serde_json::{Value, json};
+use std::ops::Deref;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -33,13 +34,12 @@ pub(super) struct Ask {
     rest: Duration,
     order: Option<Value>,
     durable: bool,
-    let_go: bool,
 }
 
 impl Ask {
     /// Somebody's wish, which he is told was taken.
     pub(super) fn new(kind: &'static str, lane: Lane) -> Self {
-        Self { kind, lane, coalesce: false, rest: Duration::ZERO, order: None, durable: true, let_go: false }
+        Self { kind, lane, coalesce: false, rest: Duration::ZERO, order: None, durable: true }
     }
 
     /// It can be asked for again ([`Desk::retry`]) with this.
@@ -56,11 +56,6 @@ impl Ask {
     pub(super) fn unasked(self, rest: Duration) -> Self {
         Self { rest, durable: false, ..self }
     }
-
-    /// The session was opened for this alone, and is closed again afterwards.
-    pub(super) fn letting_go(self) -> Self {
-        Self { let_go: true, ..self }
-    }
 }
 
 impl Desk {
@@ -70,7 +65,7 @@ impl Desk {
         let session = self.session_for_pair(session)?;
         wish.program(&session)?;
         let desk = self.clone();
-        self.ask(Ask::new("pair", Lane::Rig).again(json!(wish)), &session.clone(), move |progress| {
+        self.ask(Ask::new("pair", Lane::Rig).again(json!(wish)), name_of(&session), move |progress| {
             let after_pair = desk.0.after_pair.as_ref();
             let record = desk.0.engine.shoot_pair_as(&session, wish, after_pair, progress)?;
             desk.go_on_from(&session, &record);
@@ -90,7 +85,7 @@ impl Desk {
         let session = self.session(session)?;
         let desk = self.clone();
         let ask = Ask::new("find_exposure", Lane::Rig).again(json!(wish));
-        self.ask(ask, &session.clone(), move |progress| {
+        self.ask(ask, name_of(&session), move |progress| {
             let found = desk.0.engine.find_exposure(&session, wish, progress)?;
             desk.tell_session(&session);
             let exposure =
@@ -117,7 +112,7 @@ impl Desk {
         let session = self.session(session)?;
         let desk = self.clone();
         let ask = Ask::new("flash_shots", Lane::Rig).again(json!(distance_m));
-        self.ask(ask, &session.clone(), move |progress| {
+        self.ask(ask, name_of(&session), move |progress| {
             let shot = desk.0.engine.shoot_card(&session, distance_m, progress)?;
             Ok(json!({ "session": name_of(&session), "name": shot.name, "reasons": shot.reasons }))
         })
@@ -133,7 +128,7 @@ impl Desk {
         let session = self.session(session)?;
         let desk = self.clone();
         let ask = Ask::new("repeatability", Lane::Rig).again(json!(shots));
-        self.ask(ask, &session.clone(), move |progress| {
+        self.ask(ask, name_of(&session), move |progress| {
             let run = desk.0.engine.repeatability(&session, shots, progress)?;
             Ok(json!({
                 "words": words_on_repeatability(&run),
@@ -177,7 +172,7 @@ impl Desk {
         let card = FlashCard { target_reflectance, ring_radii, shots };
         let ask =
             Ask::new("calibrate_flash", Lane::Processing).again(json!([target_reflectance, ring_radii]));
-        self.ask(ask, &session.clone(), move |progress| {
+        self.ask(ask, name_of(&session), move |progress| {
             let result = (desk.0.works.calibrate_flash)(&session, card, progress)?;
             desk.process_if_ready(&session);
             Ok(result)
@@ -188,7 +183,7 @@ impl Desk {
     pub fn import_scene(&self, session: &str, files: SceneFiles) -> Result<Job, DeskError> {
         let session = self.session(session)?;
         let desk = self.clone();
-        self.enqueue("import_scene", &session.clone(), Lane::Processing, false, move |progress| {
+        self.enqueue("import_scene", name_of(&session), Lane::Processing, false, move |progress| {
             let result = (desk.0.works.import_scene)(&session, files, progress)?;
             desk.process_if_ready(&session);
             Ok(result)
@@ -202,7 +197,7 @@ impl Desk {
         if !missing.is_empty() {
             return Err(DeskError::NotReady { session: name_of(&session), missing: missing.join(", no ") });
         }
-        self.enqueue_process(&session, Ask::new("process", Lane::Processing))
+        self.enqueue_process(session, Ask::new("process", Lane::Processing))
     }
 
     /// Makes what a page shows of a pair: small JPEGs of both frames and of the light that the flash alone threw.
@@ -230,7 +225,7 @@ impl Desk {
 
     fn enqueue_develop(&self, session: &Arc<Session>, number: u32, ask: Ask) -> Result<Job, DeskError> {
         let own = session.clone();
-        self.ask(ask.again(json!(number)), session, move |progress| {
+        self.ask(ask.again(json!(number)), name_of(session), move |progress| {
             let unreadable = |e: ThumbnailError| WorkError::failed("frame_unreadable", e);
             let record = own.pair(number).map_err(|e| WorkError::failed("session_unreadable", e))?;
             let frames: Vec<_> = record.frames().collect();
@@ -267,7 +262,7 @@ impl Desk {
             Ok(missing) if !missing.is_empty() => return,
             Ok(_) => {
                 let ask = Ask::new("process", Lane::Processing).unasked(REST);
-                self.enqueue_process(session, ask).map(drop)
+                self.enqueue_process(session.clone(), ask).map(drop)
             }
             Err(error) => Err(error),
         };
@@ -277,42 +272,38 @@ impl Desk {
         }
     }
 
-    pub(super) fn enqueue_process(&self, session: &Arc<Session>, ask: Ask) -> Result<Job, DeskError> {
-        let (desk, own) = (self.clone(), session.clone());
+    pub(super) fn enqueue_process(
+        &self,
+        session: impl Deref<Target = Session> + Send + 'static,
+        ask: Ask,
+    ) -> Result<Job, DeskError> {
+        let (process, subject) = (self.0.works.process.clone(), name_of(&session));
         let ask = ask.again(json!({})).coalescing();
-        let let_go = ask.let_go;
-        self.ask(ask, session, move |progress| {
-            let outcome = (desk.0.works.process)(&own, (), progress);
-            if let_go {
-                desk.let_go(&own);
-            }
-            Ok(outcome?)
-        })
+        self.ask(ask, subject, move |progress| Ok(process(&session, (), progress)?))
     }
 
     pub(super) fn enqueue(
         &self,
         kind: &'static str,
-        session: &Session,
+        subject: String,
         lane: Lane,
         coalesce: bool,
         work: impl FnOnce(&Progress) -> Result<Value, JobError> + Send + 'static,
     ) -> Result<Job, DeskError> {
-        self.ask(Ask { coalesce, ..Ask::new(kind, lane) }, session, work)
+        self.ask(Ask { coalesce, ..Ask::new(kind, lane) }, subject, work)
     }
 
-    /// Queues a job as `ask` says.
+    /// Queues a job about the session of this name as `ask` says.
     pub(super) fn ask(
         &self,
         ask: Ask,
-        session: &Session,
+        subject: String,
         work: impl FnOnce(&Progress) -> Result<Value, JobError> + Send + 'static,
     ) -> Result<Job, DeskError> {
         let Ask { kind, lane, coalesce, rest, order, durable, .. } = ask;
         // What a retried job sets off is no retry.
         let again = self.1.filter(|id| self.0.queue.get(*id).is_ok_and(|job| job.kind == kind));
         let work: Work = Box::new(move |progress| work(progress).map_err(|JobError(error)| error));
-        let subject = name_of(session);
         let order = Order { kind, subject, lane, coalesce, rest, order, retry_of: again, durable, work };
         Ok(self.0.queue.enqueue(order)?)
     }

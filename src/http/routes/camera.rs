@@ -76,7 +76,7 @@ pub(super) async fn live(State(app): State<App>) -> Result<Response, Problem> {
     let mut watcher = app.desk.watch_live().map_err(Problem::internal)?;
     let mut closing = app.closing.clone();
     // The first picture or the first trouble decides between a stream and an error in words.
-    let first = next_picture(&mut watcher).await?;
+    let first = unless_closing(&app, next_picture(&mut watcher)).await?;
     let (sender, receiver) = mpsc::channel::<Bytes>(1);
     tokio::spawn(async move {
         let mut picture = Some(first);
@@ -130,6 +130,21 @@ async fn next_picture(
     })
 }
 
+/// The picture, unless the program is told to end before it comes.
+async fn unless_closing<T>(
+    app: &App,
+    picture: impl Future<Output = Result<T, Problem>>,
+) -> Result<T, Problem> {
+    let mut closing = app.closing.clone();
+    tokio::select! {
+        picture = picture => picture,
+        _ = closing.wait_for(|closing| *closing) => {
+            let words = "the program is about to end and waits for no live picture; ask again when it runs";
+            Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "closing", words))
+        }
+    }
+}
+
 /// One live picture, for scripts.
 #[utoipa::path(get, path = "/api/v1/live.jpg", tag = "capture",
     responses((status = 200, body = Vec<u8>, content_type = "image/jpeg"),
@@ -137,7 +152,7 @@ async fn next_picture(
             content_type = "application/problem+json")))]
 pub(super) async fn still(State(app): State<App>) -> Result<Response, Problem> {
     let mut watcher = app.desk.watch_live().map_err(Problem::internal)?;
-    let jpeg = next_picture(&mut watcher).await?;
+    let jpeg = unless_closing(&app, next_picture(&mut watcher)).await?;
     let kind = HeaderValue::from_static("image/jpeg");
     Ok((
         [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, HeaderValue::from_static("no-store"))],

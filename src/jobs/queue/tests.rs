@@ -62,6 +62,24 @@ fn a_job_reports_progress_and_ends_done_with_its_result() {
 }
 
 #[test]
+fn who_listens_hears_of_a_job_in_the_order_in_which_it_changed() {
+    let (tx, rx) = mpsc::channel();
+    let queue = Queue::start(move |job| {
+        // Time enough for whoever would overtake.
+        if job.state == JobState::Queued {
+            std::thread::sleep(Duration::from_millis(30));
+        }
+        tx.send((job.id, job.state)).unwrap();
+    })
+    .unwrap();
+    for _ in 0..5 {
+        let id = queue.enqueue(order("quick", false, Box::new(|_| Ok(1.into())))).unwrap().id;
+        let heard: Vec<_> = rx.iter().take(3).collect();
+        assert_eq!(heard, [JobState::Queued, JobState::Running, JobState::Done].map(|state| (id, state)));
+    }
+}
+
+#[test]
 fn a_waiting_job_swallows_its_like_and_a_running_one_does_not() {
     let queue = Queue::start(|_| {}).unwrap();
     let (running, go) = gated(&queue, "process");
@@ -134,9 +152,9 @@ fn the_queue_is_bounded_and_closes() {
     }
     let over = queue.enqueue(order("more", false, Box::new(|_| Ok(1.into()))));
     assert_eq!(over.err(), Some(JobsError::Full));
-    assert!(!queue.shut_down(Duration::from_millis(1)), "the first job still runs");
+    assert!(!queue.shut_down(Duration::from_millis(1), || {}), "the first job still runs");
     go.send(()).unwrap();
-    assert!(queue.shut_down(Duration::from_secs(10)));
+    assert!(queue.shut_down(Duration::from_secs(10), || {}));
     assert_eq!(queue.get(running).unwrap().state, JobState::Done);
     let closed = queue.enqueue(order("late", false, Box::new(|_| Ok(1.into()))));
     assert_eq!(closed.err(), Some(JobsError::Closed));
@@ -221,7 +239,7 @@ fn a_queue_after_another_goes_on_counting_and_knows_what_was_cut_short() {
         std::fs::copy(folder.path().join("jobs.jsonl"), folder.path().join("killed")).unwrap();
         go.send(()).unwrap();
         assert!(finished(&queue, cut.id).started.is_some());
-        assert!(queue.shut_down(Duration::from_secs(10)));
+        assert!(queue.shut_down(Duration::from_secs(10), || {}));
         (done, cut.id)
     };
     std::fs::copy(folder.path().join("killed"), folder.path().join("jobs.jsonl")).unwrap();

@@ -5,6 +5,7 @@
  *   UNLIT_TEST_DISK_LAST    number of the last one
  *   UNLIT_TEST_DISK_ERRNO   errno
  *   UNLIT_TEST_DISK_DELAY   microseconds that every operation takes
+ *   UNLIT_TEST_DISK_HANGS   a file: as long as it is there, no operation ends
  *
  * With ENOSPC a write first takes half of what it is given, as a disk that fills up does, and what takes no room
  * (fsync, rename) goes on.
@@ -40,6 +41,9 @@ static int fails(const char *what, const char *path, int takes_room)
     long delay = number("UNLIT_TEST_DISK_DELAY", 0);
     if (delay)
         usleep((useconds_t)delay);
+    const char *hangs = getenv("UNLIT_TEST_DISK_HANGS");
+    while (hangs && access(hangs, F_OK) == 0)
+        usleep(1000);
     if (error == ENOSPC && !takes_room)
         return 0;
     long n = atomic_fetch_add(&count, 1) + 1;
