@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use unlit::pair::Settings;
 use unlit::progress::{Cancelled, Progress};
 use unlit::session::{
-    Damage, Event, InterruptedShot, More, NewFrame, NewPair, SHOT_ABANDONED, SHOT_STARTED, Session,
-    Verification,
+    Between, Damage, Event, InterruptedShot, More, NewFrame, NewPair, SHOT_ABANDONED, SHOT_STARTED,
+    SequencePlan, SequenceRecord, Session, Stage, Verification,
 };
 
 fn verified(session: &Session) -> Verification {
@@ -136,6 +136,32 @@ fn commit(session: &Session) {
         more: More::default(),
     };
     session.commit_pair(pair).unwrap();
+}
+
+#[test]
+fn a_sequence_that_cannot_be_read_or_whose_pair_is_gone_is_told() {
+    let (_folder, session) = bare_session();
+    commit(&session);
+    let plan = SequencePlan::new(2, Between::Hook);
+    let mut record = SequenceRecord { stage: Stage::Begun, ..SequenceRecord::planned(plan) };
+    record.positions[0].pairs = vec![1];
+    session.set_sequence(&record).unwrap();
+    assert_eq!(told(&verified(&session)), []);
+    assert!(session.files().unwrap().iter().any(|file| file.path == "sequence.json"));
+
+    record.positions[1].pairs = vec![2];
+    session.set_sequence(&record).unwrap();
+    let found = verified(&session);
+    assert_eq!(told(&found), [("pairs/0002".to_owned(), Damage::Missing)]);
+    assert!(found.findings[0].why.contains("position 2"), "{:?}", found.findings);
+    // What the journal calls stored is told once.
+    std::fs::rename(session.pair_dir(1), session.path().join("elsewhere")).unwrap();
+    let names: Vec<_> = told(&verified(&session)).into_iter().map(|(name, _)| name).collect();
+    assert_eq!(names, ["pairs/0001", "pairs/0002"]);
+
+    std::fs::write(session.path().join("sequence.json"), "{").unwrap();
+    let found = told(&verified(&session));
+    assert!(found.contains(&("sequence.json".to_owned(), Damage::Unreadable)), "{found:?}");
 }
 
 #[test]

@@ -19,7 +19,7 @@ use serde_json::json;
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// How often clock, trigger file and pair are looked at. The kernel's notices of files would come sooner, but not
 /// from network disks.
@@ -53,25 +53,34 @@ pub struct Conductor {
     trigger: PathBuf,
     shooter: Box<dyn Shooter>,
     events: Events,
-    born: Instant,
+    /// When it was made: by the wall, since 1970, and by the clock that nobody puts back.
+    born: (Duration, Instant),
     inside: Mutex<Inside>,
     /// A copy for those who must not wait for the disk.
     shown: Mutex<Option<(SequencePlan, State)>>,
 }
 
-/// The sequence of a session as its files tell it.
-fn restore(session: &Session) -> Result<Option<(SequenceRecord, State)>, SequenceError> {
+/// Since 1970.
+fn wall() -> Duration {
+    // A clock before 1970 is a clock that is not set.
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
+}
+
+/// The sequence of a session as its files tell it at `now`.
+fn restore(session: &Session, now: Duration) -> Result<Option<(SequenceRecord, State)>, SequenceError> {
     let Some(record) = session.sequence()? else { return Ok(None) };
     let pairs = session.pairs()?;
     let verdict = |number| pairs.iter().find(|pair| pair.number == number).map(|pair| pair.verdict);
-    let state = ledger::restored(&record, |number| verdict(number).map(|v| v == Verdict::Accepted));
+    let state = ledger::restored(&record, now, |number| verdict(number).map(|v| v == Verdict::Accepted));
     Ok(Some((record, state)))
 }
 
 /// The sequence of a session that nobody conducts here.
 pub(in crate::capture) fn read(session: &Session) -> Result<SequenceView, SequenceError> {
-    let (record, state) = restore(session)?.ok_or_else(|| SequenceError::NotPlanned(name_of(session)))?;
-    Ok(view(&name_of(session), &record.plan, &state, Duration::ZERO))
+    let now = wall();
+    let (record, state) =
+        restore(session, now)?.ok_or_else(|| SequenceError::NotPlanned(name_of(session)))?;
+    Ok(view(&name_of(session), &record.plan, &state, now))
 }
 
 impl Conductor {
@@ -83,7 +92,8 @@ impl Conductor {
         events: Events,
         trigger: PathBuf,
     ) -> Result<Arc<Self>, SequenceError> {
-        let restored = restore(&session)?;
+        let born = (wall(), Instant::now());
+        let restored = restore(&session, born.0)?;
         let kept = restored.as_ref().map(|(record, _)| record.clone());
         let sequence = restored.map(|(record, state)| (record.plan, state));
         let conductor = Arc::new(Self {
@@ -92,7 +102,7 @@ impl Conductor {
             trigger,
             shooter,
             events,
-            born: Instant::now(),
+            born,
             shown: Mutex::new(sequence.clone()),
             inside: Mutex::new(Inside { sequence, kept, ticking: false }),
         });
@@ -108,7 +118,7 @@ impl Conductor {
     }
 
     fn now(&self) -> Duration {
-        self.born.elapsed()
+        self.born.0 + self.born.1.elapsed()
     }
 
     fn not_planned(&self) -> SequenceError {

@@ -1,6 +1,6 @@
 //! A sequence's life as a pure function: `(plan, state, event, now) -> (state, effects)`.
 //!
-//! It touches nothing and has no clock but the one it is told; [`super::Conductor`] does the effects and feeds
+//! It touches nothing and has no clock but the one it is told (since 1970, and never back); [`super::Conductor`] does the effects and feeds
 //! back what happened. What it promises, and what its property tests hold it to: positions are taken in order;
 //! none is left out unless somebody said so; nothing is shot without a go, nor while paused, nor before the
 //! interval is over; of two goes for one position one counts; a position whose pair was accepted is never shot
@@ -88,7 +88,7 @@ pub(super) struct State {
     pub(super) positions: Vec<Position>,
     /// A pair that was begun and has not ended: its position, and its number once that is known.
     pub(super) under_way: Option<(u32, Option<u32>)>,
-    /// When the last pair was begun.
+    /// When the last pair was begun, by the clock: it is kept over a restart.
     pub(super) last_begun: Option<Duration>,
 }
 
@@ -223,7 +223,6 @@ impl State {
         } else {
             self.phase = Phase::Shooting { position, tries };
             self.under_way = Some((position, None));
-            self.last_begun = Some(now);
             to_do.push(Effect::Shoot(position));
         }
     }
@@ -328,6 +327,7 @@ pub(super) fn step(
         (_, Event::Begun(pair)) => {
             let (position, None) = state.under_way? else { return None };
             next.under_way = Some((position, Some(pair)));
+            next.last_begun = Some(now);
         }
         (phase, Event::Shot { pair, rejected }) => {
             next.ended(Some(pair), rejected.is_none())?;

@@ -11,9 +11,7 @@ use unlit::capture::{
 };
 use unlit::jobs::{Job, WorkError};
 use unlit::pair::Limits;
-use unlit::session::{
-    Between, PositionRecord, SEQUENCE_SCHEMA, SequencePlan, SequenceRecord, Session, Stage, UnderWay,
-};
+use unlit::session::{Between, SequencePlan, SequenceRecord, Session, Stage, UnderWay};
 
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -36,10 +34,6 @@ fn desk_in(folder: &Path, rig: RigSource) -> Desk {
     let events = Events::default();
     let engine = Arc::new(Engine::new(rig, Limits::default(), events.clone()));
     Desk::open(engine, events, folder, no_works(), None).unwrap()
-}
-
-fn plan(positions: u32, between: Between) -> SequencePlan {
-    SequencePlan { positions, between, interval_s: 0.0, retries: 0, instructions: vec![] }
 }
 
 /// A desk with the session "vase" and a sequence.
@@ -105,7 +99,7 @@ impl Studio {
 
 #[test]
 fn a_script_walks_through_while_somebody_else_shoots_too() {
-    let studio = Studio::open(Room::default().rig(), plan(3, Between::Hook));
+    let studio = Studio::open(Room::default().rig(), SequencePlan::new(3, Between::Hook));
     let (_, mut heard) = studio.desk.events().listen();
     assert!(matches!(studio.refused(SequenceEvent::Next, None), SequenceError::Refused { .. }));
     studio.wish(SequenceEvent::Start);
@@ -140,7 +134,7 @@ fn a_script_walks_through_while_somebody_else_shoots_too() {
 #[test]
 fn a_pause_lets_the_pair_end_and_a_cancel_stops_it() {
     let room = Room::default();
-    let studio = Studio::open(room.rig_with(|| FlashKind::Manual), plan(3, Between::Prompt));
+    let studio = Studio::open(room.rig_with(|| FlashKind::Manual), SequencePlan::new(3, Between::Prompt));
     let (_, mut heard) = studio.desk.events().listen();
     let mut confirm = |flash_on| {
         while heard.blocking_recv().unwrap().topic != Topic::Prompt {}
@@ -168,7 +162,7 @@ fn a_pause_lets_the_pair_end_and_a_cancel_stops_it() {
 
 #[test]
 fn the_trigger_file_is_taken_once_and_vanishes_when_its_position_is_done() {
-    let studio = Studio::open(Room::default().rig(), plan(2, Between::TriggerFile));
+    let studio = Studio::open(Room::default().rig(), SequencePlan::new(2, Between::TriggerFile));
     let file = studio.folder.path().join("vase/trigger");
     std::fs::write(&file, "left over").unwrap();
     studio.wish(SequenceEvent::Start);
@@ -188,7 +182,7 @@ fn the_trigger_file_is_taken_once_and_vanishes_when_its_position_is_done() {
 
 #[test]
 fn a_trigger_that_cannot_be_removed_pauses_instead_of_shooting_for_ever() {
-    let studio = Studio::open(Room::default().rig(), plan(3, Between::TriggerFile));
+    let studio = Studio::open(Room::default().rig(), SequencePlan::new(3, Between::TriggerFile));
     studio.wish(SequenceEvent::Start);
     let file = studio.folder.path().join("vase/trigger");
     std::fs::create_dir(&file).unwrap();
@@ -202,7 +196,7 @@ fn a_trigger_that_cannot_be_removed_pauses_instead_of_shooting_for_ever() {
 
 #[test]
 fn a_countdown_takes_the_pairs_by_itself_and_keeps_the_interval() {
-    let order = SequencePlan { interval_s: 0.5, ..plan(3, Between::Countdown { seconds: 0.1 }) };
+    let order = SequencePlan { interval_s: 0.5, ..SequencePlan::new(3, Between::Countdown { seconds: 0.1 }) };
     let studio = Studio::open(Room::default().rig(), order);
     let begun = Instant::now();
     studio.wish(SequenceEvent::Start);
@@ -213,7 +207,7 @@ fn a_countdown_takes_the_pairs_by_itself_and_keeps_the_interval() {
 #[test]
 fn a_rejected_pair_asks_and_is_taken_again() {
     let room = Room::with(Trouble::Misfire);
-    let studio = Studio::open(room.rig(), SequencePlan { retries: 1, ..plan(2, Between::Hook) });
+    let studio = Studio::open(room.rig(), SequencePlan { retries: 1, ..SequencePlan::new(2, Between::Hook) });
     studio.wish(SequenceEvent::Start);
     studio.wish(SequenceEvent::Next);
     let view = studio.until(SequenceState::Asking, Some(1));
@@ -239,7 +233,8 @@ fn a_rejected_pair_asks_and_is_taken_again() {
 
 #[test]
 fn a_pair_that_somebody_cancels_before_its_turn_asks() {
-    let studio = Studio::open(Room::default().rig_with(|| FlashKind::Manual), plan(2, Between::Hook));
+    let studio =
+        Studio::open(Room::default().rig_with(|| FlashKind::Manual), SequencePlan::new(2, Between::Hook));
     // Another's pair waits for the operator and holds the rig.
     let other = studio.desk.take_pair(Some("vase"), PairWish::default()).unwrap();
     studio.wish(SequenceEvent::Start);
@@ -257,7 +252,7 @@ fn a_pair_that_somebody_cancels_before_its_turn_asks() {
 fn a_desk_that_is_opened_anew_waits_to_be_asked_and_goes_on_at_the_first_missing_position() {
     let room = Room::default();
     let Studio { folder, desk } = {
-        let studio = Studio::open(room.rig(), plan(3, Between::Countdown { seconds: 0.0 }));
+        let studio = Studio::open(room.rig(), SequencePlan::new(3, Between::Countdown { seconds: 0.0 }));
         studio.wish(SequenceEvent::Start);
         studio.until(SequenceState::Done, None);
         studio
@@ -297,7 +292,7 @@ fn desk_anew(folder: &TempDir, room: &Room) -> Desk {
 
 #[test]
 fn a_plan_changes_how_a_paused_sequence_goes_on_and_removing_it_begins_anew() {
-    let studio = Studio::open(Room::default().rig(), plan(2, Between::Hook));
+    let studio = Studio::open(Room::default().rig(), SequencePlan::new(2, Between::Hook));
     let desk = &studio.desk;
     studio.wish(SequenceEvent::Start);
     studio.wish(SequenceEvent::Next);
@@ -306,23 +301,26 @@ fn a_plan_changes_how_a_paused_sequence_goes_on_and_removing_it_begins_anew() {
         Err(DeskError::Sequence(error)) => error,
         other => panic!("{other:?}"),
     };
-    assert!(matches!(refused(plan(2, Between::Prompt)), SequenceError::Refused { .. }));
+    assert!(matches!(refused(SequencePlan::new(2, Between::Prompt)), SequenceError::Refused { .. }));
     studio.wish(SequenceEvent::Pause);
-    assert!(matches!(refused(plan(3, Between::Prompt)), SequenceError::Unfinished { done: 1, positions: 2 }));
-    assert!(matches!(refused(plan(0, Between::Prompt)), SequenceError::BadPlan(_)));
-    let (view, made) = desk.plan_sequence("vase", plan(2, Between::Prompt)).unwrap();
+    assert!(matches!(
+        refused(SequencePlan::new(3, Between::Prompt)),
+        SequenceError::Unfinished { done: 1, positions: 2 }
+    ));
+    assert!(matches!(refused(SequencePlan::new(0, Between::Prompt)), SequenceError::BadPlan(_)));
+    let (view, made) = desk.plan_sequence("vase", SequencePlan::new(2, Between::Prompt)).unwrap();
     assert_eq!((made, view.done, view.plan.between), (false, 1, Between::Prompt));
     desk.remove_sequence("vase").unwrap();
     assert!(matches!(desk.sequence("vase"), Err(DeskError::Sequence(SequenceError::NotPlanned(_)))));
     assert!(!studio.folder.path().join("vase/sequence.json").exists());
-    let (view, made) = desk.plan_sequence("vase", plan(3, Between::Hook)).unwrap();
+    let (view, made) = desk.plan_sequence("vase", SequencePlan::new(3, Between::Hook)).unwrap();
     assert_eq!((made, view.done), (true, 0));
 }
 
 #[test]
 fn nothing_is_shot_that_could_not_be_written_down_before() {
     let room = Room::default();
-    let studio = Studio::open(room.rig(), plan(2, Between::Hook));
+    let studio = Studio::open(room.rig(), SequencePlan::new(2, Between::Hook));
     studio.wish(SequenceEvent::Start);
     // A folder in the file's place refuses every write, whoever we are.
     let file = studio.folder.path().join("vase/sequence.json");
@@ -347,11 +345,9 @@ fn a_pair_that_was_not_stored_leaves_its_position_even_if_another_gets_its_numbe
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path().join("vase");
     let record = SequenceRecord {
-        schema: SEQUENCE_SCHEMA,
-        plan: plan(2, Between::Hook),
         stage: Stage::Begun,
-        positions: vec![PositionRecord::default(); 2],
         under_way: Some(UnderWay { position: 1, pair: 1 }),
+        ..SequenceRecord::planned(SequencePlan::new(2, Between::Hook))
     };
     // Killed in the middle of position 1's pair.
     Session::create(&place, "vase").unwrap().set_sequence(&record).unwrap();
