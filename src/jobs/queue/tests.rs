@@ -196,8 +196,10 @@ fn what_waits_for_the_rig_to_rest_begins_then_or_when_somebody_asks_for_it() {
 fn a_queue_after_another_goes_on_counting_and_knows_what_was_cut_short() {
     let folder = tempfile::tempdir().unwrap();
     let ledger = || Ledger::open(folder.path(), |_| "cut short".into()).unwrap();
+    let alive = Arc::new(());
     let (done, cut) = {
-        let queue = Queue::resume(ledger(), |_| {}, |words| panic!("{words}")).unwrap();
+        let held = alive.clone();
+        let queue = Queue::resume(ledger(), move |_| drop(held.clone()), |words| panic!("{words}")).unwrap();
         let done = queue.enqueue(order("first", false, Box::new(|_| Ok(7.into())))).unwrap().id;
         assert_eq!(finished(&queue, done).state, JobState::Done);
         let (_, go) = gated(&queue, "second");
@@ -211,24 +213,42 @@ fn a_queue_after_another_goes_on_counting_and_knows_what_was_cut_short() {
         assert!(queue.shut_down(Duration::from_secs(10)));
         (done, cut.id)
     };
-    // The threads of the queue hold the ledger's lock until they have ended.
+    // The threads of the queue may write until they have ended.
     let end = Instant::now() + Duration::from_secs(10);
-    std::fs::copy(folder.path().join("killed"), folder.path().join("jobs.jsonl")).unwrap();
-    let ledger = loop {
-        match Ledger::open(folder.path(), |_| "cut short".into()) {
-            Ok(ledger) => break ledger,
-            Err(error) => assert!(Instant::now() < end, "{error}"),
-        }
+    while Arc::strong_count(&alive) > 1 {
+        assert!(Instant::now() < end, "its threads go on");
         std::thread::yield_now();
-    };
-    let queue = Queue::resume(ledger, |_| {}, |words| panic!("{words}")).unwrap();
+    }
+    std::fs::copy(folder.path().join("killed"), folder.path().join("jobs.jsonl")).unwrap();
+    let queue = Queue::resume(ledger(), |_| {}, |words| panic!("{words}")).unwrap();
     let before = queue.get(done).unwrap();
     assert_eq!((before.state, before.result), (JobState::Done, Some(7.into())));
     assert_eq!(queue.get(cut).unwrap().state, JobState::Interrupted);
     assert_eq!(queue.to_repeat(cut).unwrap().1, 1);
     assert_eq!(queue.to_repeat(done).err(), Some(JobsError::NotRetryable(done)));
-    assert_eq!(queue.to_repeat(cut - 1).err(), Some(JobsError::NotRepeatable(cut - 1, "second".into())));
+    let gone = queue.to_repeat(cut - 1).err();
+    assert!(matches!(gone, Some(JobsError::NotRepeatable(id, _)) if id == cut - 1), "{gone:?}");
     assert_eq!(queue.cancel(cut), Err(JobsError::Finished(cut)));
     let next = queue.enqueue(order("next", false, Box::new(|_| Ok(1.into())))).unwrap().id;
     assert_eq!(next, cut + 1);
+}
+
+#[test]
+fn a_durable_wish_that_a_waiting_job_fulfils_reaches_the_disk_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let ledger = Ledger::open(folder.path(), |_| String::new()).unwrap();
+    let (tell, told) = mpsc::channel();
+    let queue = Queue::resume(ledger, |_| {}, move |words| tell.send(words).unwrap()).unwrap();
+    let (_, go) = gated(&queue, "process");
+    let noop = || -> Work { Box::new(|_| Ok(serde_json::Value::Null)) };
+    let unasked = queue.enqueue(order("process", true, noop())).unwrap();
+    // From here on the disk refuses.
+    std::fs::remove_file(folder.path().join("jobs.jsonl")).unwrap();
+    std::fs::create_dir(folder.path().join("jobs.jsonl")).unwrap();
+    assert_eq!(queue.enqueue(order("process", true, noop())).unwrap().id, unasked.id);
+    assert!(told.try_recv().is_err(), "nobody was promised anything");
+    let wish = Order { durable: true, ..order("process", true, noop()) };
+    assert_eq!(queue.enqueue(wish).unwrap().id, unasked.id);
+    assert!(told.try_recv().unwrap().contains("could not be written"));
+    go.send(()).unwrap();
 }
