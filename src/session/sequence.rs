@@ -4,6 +4,7 @@
 //! on its next start to which position the last pair belongs. Verdicts are not repeated here: the pairs have them.
 
 use super::{SEQUENCE, Session, SessionError, from_json, store, to_json};
+use crate::pair::order::{Order, Program};
 use serde::{Deserialize, Serialize};
 use std::io::ErrorKind;
 use std::path::PathBuf;
@@ -53,6 +54,12 @@ pub struct SequencePlan {
     /// How often a rejected pair is taken again unasked before the operator is asked.
     #[serde(default)]
     pub retries: u32,
+    /// The order of each pair's frames.
+    #[serde(default)]
+    pub order: Order,
+    /// Frames without flash in a row.
+    #[serde(default = "one")]
+    pub off_frames: u8,
     /// What to do at each position, from the first; may be shorter than there are positions.
     #[serde(default)]
     pub instructions: Vec<String>,
@@ -61,7 +68,8 @@ pub struct SequencePlan {
 impl SequencePlan {
     /// So many positions, and nothing else asked for.
     pub fn new(positions: u32, between: Between) -> Self {
-        Self { positions, between, interval_s: 0.0, retries: 0, instructions: Vec::new() }
+        let (order, off_frames) = (Order::default(), one());
+        Self { positions, between, interval_s: 0.0, retries: 0, order, off_frames, instructions: Vec::new() }
     }
 
     /// What is wrong with it, in a sentence.
@@ -85,12 +93,19 @@ impl SequencePlan {
         if self.retries > MOST_RETRIES {
             return Some(format!("retries is {}; give 0 to {MOST_RETRIES}", self.retries));
         }
+        if let Err(error) = Program::new(self.order, self.off_frames) {
+            return Some(error.to_string());
+        }
         if lines > self.positions as usize {
             return Some(format!("there are {lines} instructions for {} positions", self.positions));
         }
         let at = self.instructions.iter().position(unfit)?;
         Some(format!("instruction {} must be one line of {LONGEST_INSTRUCTION} characters at most", at + 1))
     }
+}
+
+fn one() -> u8 {
+    1
 }
 
 /// What became of one position.
@@ -245,6 +260,8 @@ mod tests {
             (countdown(f64::NAN), "countdown"),
             (SequencePlan { interval_s, ..plan(2, Between::Hook) }, "interval_s"),
             (SequencePlan { retries: 11, ..plan(2, Between::Hook) }, "retries"),
+            (SequencePlan { off_frames: 0, ..plan(2, Between::Hook) }, "0 frames"),
+            (SequencePlan { off_frames: 17, ..plan(2, Between::Hook) }, "1 to 16"),
             (SequencePlan { instructions: vec!["a".into(); 3], ..plan(2, Between::Hook) }, "3 instructions"),
             (SequencePlan { instructions: vec!["a\nb".into()], ..plan(2, Between::Hook) }, "instruction 1"),
             (

@@ -358,10 +358,8 @@ fn the_copy_has_the_sequence_as_it_stands_and_none_once_it_is_forgotten() {
     place.session.set_sequence(&record).unwrap();
     place.start();
     place.until_in_step();
-    let copied = || match std::fs::read(place.copy().join("sequence.json")) {
-        Ok(bytes) => Some(serde_json::from_slice::<SequenceRecord>(&bytes).unwrap()),
-        Err(_) => None,
-    };
+    let read = || std::fs::read(place.copy().join("sequence.json")).ok();
+    let copied = || read().map(|bytes| serde_json::from_slice::<SequenceRecord>(&bytes).unwrap());
     assert_eq!(copied().as_ref(), Some(&record));
     record.positions[1].skipped = true;
     place.session.set_sequence(&record).unwrap();

@@ -364,41 +364,6 @@ fn verify_names_every_damage_and_nothing_else() {
 }
 
 #[test]
-fn every_byte_of_a_record_counts_also_of_one_that_a_crash_left_whole() {
-    let home = tempfile::tempdir().unwrap();
-    let session = Session::create(home.path(), "bath").unwrap();
-    stored(session.commit_pair(pair(Some("a"), b"1", b"2")).unwrap());
-    let (file, journal) = (session.pair_dir(1).join("pair.json"), home.path().join("journal.jsonl"));
-    drop(session);
-    for crash in [false, true] {
-        if crash {
-            let text = std::fs::read_to_string(&journal).unwrap();
-            let (before, _) = text.trim_end().rsplit_once('\n').unwrap();
-            std::fs::write(&journal, format!("{before}\n")).unwrap();
-        }
-        let session = Session::open(home.path()).unwrap();
-        assert_eq!(session.recovery().completed.len(), usize::from(crash));
-        assert!(session.verify(&Progress::silent()).unwrap().findings.is_empty());
-        let whole = std::fs::read_to_string(&file).unwrap();
-        let altered = whole.replace("\"name\": \"a\"", "\"name\": \"b\"");
-        assert_ne!(altered, whole);
-        std::fs::write(&file, altered).unwrap();
-        let found = session.verify(&Progress::silent()).unwrap().findings;
-        let told: Vec<_> = found.iter().map(|f| (f.path.to_str().unwrap(), f.damage)).collect();
-        assert_eq!(told, [("pairs/0001/pair.json", Damage::Altered)], "crash: {crash}");
-        assert_eq!(session.verify_pair(1), found);
-        std::fs::write(&file, whole).unwrap();
-    }
-    // An entry of before, which has no digest, is as good as it was.
-    let text = std::fs::read_to_string(&journal).unwrap();
-    let cut = text.rfind(",\"record\":").unwrap();
-    std::fs::write(&journal, format!("{}}}\n", &text[..cut])).unwrap();
-    let session = Session::open(home.path()).unwrap();
-    assert!(session.verify(&Progress::silent()).unwrap().findings.is_empty());
-    assert_eq!(session.recovery(), &Default::default());
-}
-
-#[test]
 fn every_byte_of_an_original_counts() {
     let home = tempfile::tempdir().unwrap();
     let session = Session::create(home.path(), "bath").unwrap();

@@ -139,6 +139,40 @@ fn commit(session: &Session) {
 }
 
 #[test]
+fn every_byte_of_a_record_counts_also_of_one_that_a_crash_left_whole() {
+    let (_folder, session) = bare_session();
+    commit(&session);
+    let path = session.path().to_owned();
+    let (file, journal) = (session.pair_dir(1).join("pair.json"), path.join("journal.jsonl"));
+    drop(session);
+    for crash in [false, true] {
+        if crash {
+            let text = std::fs::read_to_string(&journal).unwrap();
+            let (before, _) = text.trim_end().rsplit_once('\n').unwrap();
+            std::fs::write(&journal, format!("{before}\n")).unwrap();
+        }
+        let session = Session::open(&path).unwrap();
+        assert_eq!(session.recovery().completed.len(), usize::from(crash));
+        assert!(verified(&session).findings.is_empty());
+        let whole = std::fs::read_to_string(&file).unwrap();
+        let altered = whole.replace("\"name\": \"0001\"", "\"name\": \"0007\"");
+        assert_ne!(altered, whole);
+        std::fs::write(&file, altered).unwrap();
+        let found = verified(&session);
+        assert_eq!(told(&found), [("pairs/0001/pair.json".to_owned(), Damage::Altered)], "crash: {crash}");
+        assert_eq!(session.verify_pair(1), found.findings);
+        std::fs::write(&file, whole).unwrap();
+    }
+    // An entry of before, which has no digest, is as good as it was.
+    let text = std::fs::read_to_string(&journal).unwrap();
+    let cut = text.rfind(",\"record\":").unwrap();
+    std::fs::write(&journal, format!("{}}}\n", &text[..cut])).unwrap();
+    let session = Session::open(&path).unwrap();
+    assert!(verified(&session).findings.is_empty());
+    assert_eq!(session.recovery(), &Default::default());
+}
+
+#[test]
 fn a_sequence_that_cannot_be_read_or_whose_pair_is_gone_is_told() {
     let (_folder, session) = bare_session();
     commit(&session);

@@ -72,6 +72,9 @@ impl Desk {
         self.ask(Ask::new("pair", Lane::Rig).again(json!(wish)), &session.clone(), move |progress| {
             let after_pair = desk.0.after_pair.as_ref();
             let record = desk.0.engine.shoot_pair_as(&session, wish, after_pair, progress)?;
+            if record.verdict == Verdict::Accepted && wish.again.is_some() {
+                desk.mend_sequence(&session, record.number);
+            }
             desk.go_on_from(&session, &record);
             let (number, attempt, verdict) = (record.number, record.attempt, record.verdict);
             Ok(json!({ "session": name_of(&session), "number": number, "attempt": attempt, "verdict": verdict }))
@@ -187,7 +190,7 @@ impl Desk {
     pub fn import_scene(&self, session: &str, files: SceneFiles) -> Result<Job, DeskError> {
         let session = self.session(session)?;
         let desk = self.clone();
-        self.enqueue("import_scene", &session.clone(), Lane::Processing, false, move |progress| {
+        self.ask(Ask::new("import_scene", Lane::Processing), &session.clone(), move |progress| {
             let result = (desk.0.works.import_scene)(&session, files, progress)?;
             desk.process_if_ready(&session);
             Ok(result)
@@ -287,17 +290,6 @@ impl Desk {
             }
             Ok(outcome?)
         })
-    }
-
-    pub(super) fn enqueue(
-        &self,
-        kind: &'static str,
-        session: &Session,
-        lane: Lane,
-        coalesce: bool,
-        work: impl FnOnce(&Progress) -> Result<Value, JobError> + Send + 'static,
-    ) -> Result<Job, DeskError> {
-        self.ask(Ask { coalesce, ..Ask::new(kind, lane) }, session, work)
     }
 
     /// Queues a job as `ask` says.

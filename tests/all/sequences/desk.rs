@@ -1,6 +1,6 @@
 //! The desk conducts: goes, pauses, rejected pairs, others who shoot in between.
 
-use crate::fake_rig::{Room, Trouble};
+use crate::fake_rig::Room;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -37,13 +37,13 @@ fn desk_in(folder: &Path, rig: RigSource) -> Desk {
 }
 
 /// A desk with the session "vase" and a sequence.
-struct Studio {
+pub(super) struct Studio {
     folder: TempDir,
-    desk: Desk,
+    pub(super) desk: Desk,
 }
 
 impl Studio {
-    fn open(rig: RigSource, plan: SequencePlan) -> Self {
+    pub(super) fn open(rig: RigSource, plan: SequencePlan) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let desk = desk_in(folder.path(), rig);
         desk.enter("vase").unwrap();
@@ -52,7 +52,7 @@ impl Studio {
         Self { folder, desk }
     }
 
-    fn wish(&self, event: SequenceEvent) -> SequenceView {
+    pub(super) fn wish(&self, event: SequenceEvent) -> SequenceView {
         self.desk.direct_sequence("vase", event.clone(), None).unwrap_or_else(|e| panic!("{event:?}: {e}"))
     }
 
@@ -63,12 +63,12 @@ impl Studio {
         }
     }
 
-    fn view(&self) -> SequenceView {
+    pub(super) fn view(&self) -> SequenceView {
         self.desk.sequence("vase").unwrap()
     }
 
     /// Waits until the sequence stands so, and gives it.
-    fn until(&self, state: SequenceState, position: Option<u32>) -> SequenceView {
+    pub(super) fn until(&self, state: SequenceState, position: Option<u32>) -> SequenceView {
         let end = Instant::now() + PATIENCE;
         loop {
             let view = self.view();
@@ -80,7 +80,7 @@ impl Studio {
         }
     }
 
-    fn ended(&self, job: &Job) -> Job {
+    pub(super) fn ended(&self, job: &Job) -> Job {
         let end = Instant::now() + PATIENCE;
         loop {
             let job = self.desk.queue().get(job.id).unwrap();
@@ -92,7 +92,7 @@ impl Studio {
         }
     }
 
-    fn pairs(view: &SequenceView) -> Vec<Vec<u32>> {
+    pub(super) fn pairs(view: &SequenceView) -> Vec<Vec<u32>> {
         view.positions.iter().map(|p| p.pairs.clone()).collect()
     }
 }
@@ -205,33 +205,6 @@ fn a_countdown_takes_the_pairs_by_itself_and_keeps_the_interval() {
 }
 
 #[test]
-fn a_rejected_pair_asks_and_is_taken_again() {
-    let room = Room::with(Trouble::Misfire);
-    let studio = Studio::open(room.rig(), SequencePlan { retries: 1, ..SequencePlan::new(2, Between::Hook) });
-    studio.wish(SequenceEvent::Start);
-    studio.wish(SequenceEvent::Next);
-    let view = studio.until(SequenceState::Asking, Some(1));
-    assert!(view.words.starts_with("Position 1 of 2: Pair 1 was rejected: "), "{}", view.words);
-    room.heal();
-    studio.wish(SequenceEvent::Retry);
-    let view = studio.until(SequenceState::Waiting, Some(2));
-    assert_eq!((&view.positions[0].pairs, view.positions[0].accepted), (&vec![1], Some(1)));
-    let attempts = studio.desk.attempts("vase").unwrap()[&1].len();
-    assert_eq!(attempts, 3, "each attempt is kept, under the number by which its camera is matched");
-
-    // A pair that failed is no pair: it asks too, and the position may be left out.
-    room.set(Trouble::Refuses(0));
-    studio.wish(SequenceEvent::Next);
-    let view = studio.until(SequenceState::Asking, Some(2));
-    assert!(view.words.contains("No pair was taken: ") && view.positions[1].pairs.is_empty(), "{view:?}");
-    let view = studio.wish(SequenceEvent::Skip);
-    assert_eq!(
-        (view.state, view.words.as_str()),
-        (SequenceState::Done, "1 of 2 positions is done; skipped: 2.")
-    );
-}
-
-#[test]
 fn a_pair_that_somebody_cancels_before_its_turn_asks() {
     let studio =
         Studio::open(Room::default().rig_with(|| FlashKind::Manual), SequencePlan::new(2, Between::Hook));
@@ -246,6 +219,8 @@ fn a_pair_that_somebody_cancels_before_its_turn_asks() {
     assert!(view.words.contains("The pair was cancelled."), "{}", view.words);
     studio.desk.queue().cancel(other.id).unwrap();
     studio.ended(&other);
+    let refused = studio.desk.retry(own.id).unwrap_err().to_string();
+    assert!(refused.contains("position 1 of the sequence of vase; tell the sequence `retry`"), "{refused}");
 }
 
 #[test]
