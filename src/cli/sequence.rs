@@ -3,9 +3,10 @@
 use super::shoot::MIRROR_PATIENCE;
 use super::{CliError, CliResult, Exit};
 use crate::capture::{
-    AfterPair, Alone, Conductor, Engine, Events, SequenceError, SequenceEvent, SequenceState, SequenceView,
-    Topic,
+    AfterPair, Alone, Conductor, Engine, Events, PairWish, SequenceError, SequenceEvent, SequenceState,
+    SequenceView, Topic,
 };
+use crate::pair::Verdict;
 use crate::progress::Progress;
 use crate::session::{Between, SequencePlan, Session};
 use indicatif::ProgressBar;
@@ -17,7 +18,7 @@ use tokio::signal::unix::{SignalKind, signal};
 #[derive(clap::Args)]
 pub(super) struct SequenceArgs {
     /// Shoots this many positions, each until its pair is good; the same command goes on at the first that is missing.
-    #[arg(long, value_name = "N", conflicts_with_all = ["pairs", "order", "off_frames", "again"])]
+    #[arg(long, value_name = "N", conflicts_with_all = ["pairs", "again"])]
     positions: Option<u32>,
     /// What each position waits for: the return key, some seconds, or a file that a script makes and that is removed
     /// when the position is done (without PATH: `trigger` in the session).
@@ -32,7 +33,7 @@ pub(super) struct SequenceArgs {
     /// How often a rejected pair is taken again before you are asked.
     #[arg(long, value_name = "N", requires = "positions", default_value_t = 0)]
     retries: u32,
-    /// Forgets a sequence that was begun before; its pairs stay.
+    /// Forgets a sequence that was begun or done before; its pairs stay.
     #[arg(long, requires = "positions")]
     anew: bool,
 }
@@ -58,10 +59,16 @@ impl Go {
 }
 
 impl SequenceArgs {
-    /// The plan, if a sequence is wanted.
-    pub(super) fn plan(&self) -> Option<SequencePlan> {
-        let (between, interval_s, retries) = (self.between.0, self.interval, self.retries);
-        Some(SequencePlan { positions: self.positions?, between, interval_s, retries, instructions: vec![] })
+    /// The plan, if a sequence is wanted; its pairs as `wish` has them.
+    pub(super) fn plan(&self, wish: PairWish) -> Option<SequencePlan> {
+        let usual = SequencePlan::new(self.positions?, self.between.0);
+        Some(SequencePlan {
+            interval_s: self.interval,
+            retries: self.retries,
+            order: wish.order.unwrap_or(usual.order),
+            off_frames: wish.off_frames.unwrap_or(usual.off_frames),
+            ..usual
+        })
     }
 }
 
@@ -93,35 +100,69 @@ pub(super) fn walk(args: &SequenceArgs, plan: SequencePlan, session: Session, cr
     let shooter = Box::new(Alone::new(engine, operator, progress.clone()));
     let session = Arc::new(session);
     let conductor = Conductor::open(session.clone(), shooter, events, trigger).map_err(CliError::new)?;
-    if args.anew && conductor.view().is_ok() {
-        conductor.forget().map_err(CliError::new)?;
+    let begun = begin(&conductor, args, plan);
+    let outcome = begun.and_then(|()| attend(&conductor, &told, &tell, &bar));
+    match &outcome {
+        Ok(view) => {
+            let words = summary(view, &session)?;
+            bar.suspend(|| println!("{words}"));
+        }
+        Err(_) => {
+            // A sequence that is over, or whose pair ends by itself, needs no stopping.
+            let _at_rest = conductor.wish(SequenceEvent::Pause, None);
+            progress.cancel();
+            rest(&conductor, &told);
+        }
+    }
+    if let Some(mirror) = session.finish_mirror(MIRROR_PATIENCE) {
+        bar.suspend(|| println!("{}", mirror.words()));
+    }
+    bar.finish_and_clear();
+    outcome.map(|_| Exit::Success)
+}
+
+/// Begins the plan, or goes on with it. One that is done stays so: it is begun anew only where that is asked for.
+fn begin(conductor: &Arc<Conductor>, args: &SequenceArgs, plan: SequencePlan) -> Result<(), CliError> {
+    match conductor.view() {
+        Ok(_) if args.anew => conductor.forget().map_err(CliError::new)?,
+        Ok(view) if view.state == SequenceState::Done && view.plan.positions == plan.positions => {
+            return Ok(());
+        }
+        Ok(view) if matches!(view.state, SequenceState::Done | SequenceState::Cancelled) => {
+            return Err(CliError::new(format!(
+                "the session has a sequence that is over: {} Add --anew",
+                view.words
+            )));
+        }
+        _ => {}
     }
     conductor.plan(plan).map_err(|error| match error {
         SequenceError::Unfinished { .. } => CliError::new(format!("{error}: add --anew")),
         other => CliError::new(other),
     })?;
     conductor.go_on().map_err(CliError::new)?;
-    let outcome = attend(&conductor, &told, &tell, &bar);
-    if outcome.is_err() {
-        // A sequence that is over, or whose pair ends by itself, needs no stopping.
-        let _at_rest = conductor.wish(SequenceEvent::Pause, None);
-        progress.cancel();
-        rest(&conductor, &told);
-    }
-    if let Some(mirror) = session.finish_mirror(MIRROR_PATIENCE) {
-        bar.suspend(|| println!("{}", mirror.words()));
-    }
-    bar.finish_and_clear();
-    outcome
+    Ok(())
 }
 
-/// Shows how the sequence stands, and passes on what is typed, until it is over.
+/// What came of a sequence that is done.
+fn summary(view: &SequenceView, session: &Session) -> Result<String, CliError> {
+    let attempts = session.attempts().map_err(CliError::new)?;
+    let own = view.positions.iter().flat_map(|place| &place.pairs);
+    let taken = own.filter_map(|pair| attempts.get(pair)).flatten();
+    let rejected = taken.filter(|attempt| attempt.verdict == Verdict::Rejected).count();
+    let SequenceView { done, skipped, .. } = view;
+    Ok(format!(
+        "Pairs: {done} accepted, {rejected} rejected; positions skipped: {skipped}. --anew begins another sequence."
+    ))
+}
+
+/// Shows how the sequence stands, and passes on what is typed, until it is done.
 fn attend(
     conductor: &Arc<Conductor>,
     told: &Receiver<Told>,
     tell: &Sender<Told>,
     bar: &ProgressBar,
-) -> CliResult {
+) -> Result<SequenceView, CliError> {
     let (mut shown, mut reading) = (String::new(), false);
     let say = |words: &str| bar.suspend(|| println!("{words}"));
     while let Ok(news) = told.recv() {
@@ -149,6 +190,11 @@ fn attend(
                     view.position.unwrap_or(view.plan.positions),
                     view.plan.positions
                 ));
+                if view.state != SequenceState::Shooting {
+                    // Else the bar below the instruction still tells of the pair before.
+                    bar.set_position(0);
+                    bar.set_message("");
+                }
                 let (words, asks) = line(&view);
                 if words != shown {
                     say(&words);
@@ -159,7 +205,7 @@ fn attend(
                     read_line(tell.clone())?;
                 }
                 match view.state {
-                    SequenceState::Done => return Ok(exit(&view)),
+                    SequenceState::Done => return Ok(view),
                     SequenceState::Paused | SequenceState::Cancelled => {
                         return Err(CliError::new(view.words));
                     }
@@ -184,11 +230,6 @@ fn line(view: &SequenceView) -> (String, bool) {
 fn interrupted(view: &SequenceView) -> CliError {
     let (position, positions) = (view.position.unwrap_or(view.plan.positions), view.plan.positions);
     CliError::new(format!("stopped at position {position} of {positions}; the same command goes on there"))
-}
-
-fn exit(view: &SequenceView) -> Exit {
-    let rejected = view.positions.iter().any(|p| p.pairs.iter().any(|pair| Some(*pair) != p.accepted));
-    if rejected { Exit::Rejected } else { Exit::Success }
 }
 
 /// Waits for the pair that is being taken to end, unless ctrl-C comes again.

@@ -97,7 +97,7 @@ pub(super) fn run(args: Args) -> CliResult {
     }
     let operator = studio.as_ref().map(|studio| studio.operator(events.clone()));
     tell_room(&session, &bar)?;
-    if let Some(plan) = args.sequence.plan() {
+    if let Some(plan) = args.sequence.plan(wish) {
         let crew = Crew { engine, operator, events, progress, bar };
         return sequence::walk(&args.sequence, plan, session, crew);
     }

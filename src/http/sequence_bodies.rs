@@ -1,6 +1,7 @@
 //! Sequences over the wire.
 
 use crate::capture::{PositionView, SequenceEvent, SequenceState, SequenceView};
+use crate::pair::order::Order;
 use crate::session::{Between, SequencePlan};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -41,9 +42,21 @@ pub(super) struct SequencePlanBody {
     #[serde(default)]
     #[schema(maximum = 10)]
     retries: u32,
+    /// The order of each pair's frames: `off_on`, `on_off` or `off_on_off`.
+    #[serde(default)]
+    #[schema(value_type = String, default = "off_on", example = "off_on_off")]
+    order: Order,
+    /// Frames without flash in a row, of which the mean is taken; `off_on_off` takes as many after the lit frame.
+    #[serde(default = "one")]
+    #[schema(default = 1, minimum = 1, maximum = 16)]
+    off_frames: u8,
     /// What to do at each position, from the first: lines of 200 characters at most, no more than positions.
     #[serde(default)]
     instructions: Vec<String>,
+}
+
+fn one() -> u8 {
+    1
 }
 
 impl From<SequencePlanBody> for SequencePlan {
@@ -58,6 +71,8 @@ impl From<SequencePlanBody> for SequencePlan {
             },
             interval_s: body.interval_s,
             retries: body.retries,
+            order: body.order,
+            off_frames: body.off_frames,
             instructions: body.instructions,
         }
     }
@@ -75,6 +90,8 @@ impl From<SequencePlan> for SequencePlanBody {
             },
             interval_s: plan.interval_s,
             retries: plan.retries,
+            order: plan.order,
+            off_frames: plan.off_frames,
             instructions: plan.instructions,
         }
     }

@@ -1,14 +1,15 @@
 //! `jobs.jsonl`: what was asked for and what came of it, a line each, so that the next program knows.
 //!
 //! The ledger serves the queue and never stands in its way: a line that cannot be written is told once, and the
-//! work goes on. It is read and shortened when it is opened; a file lock keeps a second program off it.
+//! work goes on. It is read and shortened when it is opened; whoever opens it has locked the folder of the sessions, so that
+//! no second program writes to it.
 
 use super::claims::{Claim, Claims, unix_seconds};
 use super::{Job, JobId, JobState, Problem};
 use crate::session::{lines, store, utc_now};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::OpenOptions;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -76,8 +77,6 @@ pub struct Ledger {
     /// Lines are written one after the other.
     alone: Mutex<()>,
     troubled: AtomicBool,
-    /// Held, never read.
-    _lock: File,
 }
 
 impl Ledger {
@@ -85,13 +84,6 @@ impl Ledger {
     /// and says so in the words that `words` has for its kind.
     pub fn open(folder: &Path, words: impl Fn(&Job) -> String) -> std::io::Result<Self> {
         std::fs::create_dir_all(folder)?;
-        let lock = OpenOptions::new().create(true).append(true).open(folder.join("jobs.lock"))?;
-        lock.try_lock().map_err(|error| match error {
-            TryLockError::WouldBlock => std::io::Error::other(
-                "another program keeps the list of this folder's jobs; give each its own folder of sessions",
-            ),
-            TryLockError::Error(error) => error,
-        })?;
         store::remove_temporaries(folder)?;
         let path = folder.join("jobs.jsonl");
         let mut past = read(&lines::read(&path)?);
@@ -110,13 +102,7 @@ impl Ledger {
             text.push('\n');
         }
         store::write_atomic(&path, text.as_bytes())?;
-        Ok(Self {
-            path,
-            past: Mutex::new(past),
-            alone: Mutex::default(),
-            troubled: AtomicBool::new(false),
-            _lock: lock,
-        })
+        Ok(Self { path, past: Mutex::new(past), alone: Mutex::default(), troubled: AtomicBool::new(false) })
     }
 
     /// What an earlier program left; given once.
@@ -132,6 +118,11 @@ impl Ledger {
     /// Writes down that a key stands for a job; on the disk when this returns.
     pub(super) fn claimed(&self, claim: &Claim) -> Option<String> {
         self.write(&Line::Claimed(claim.clone()), true)
+    }
+
+    /// Brings to the disk what was asked for so far.
+    pub(super) fn sync(&self) -> Option<String> {
+        self.written(OpenOptions::new().append(true).open(&self.path).and_then(|file| file.sync_data()))
     }
 
     /// Writes down that a job began or ended. A sentence comes back where writing fails for the first time.
@@ -156,9 +147,14 @@ impl Ledger {
     fn write(&self, line: &Line, durable: bool) -> Option<String> {
         let _alone = self.alone.lock().unwrap_or_else(PoisonError::into_inner);
         let write = if durable { lines::append_synced } else { lines::append };
-        let written =
-            serde_json::to_string(line).map_err(Into::into).and_then(|line| write(&self.path, &line));
-        match written {
+        self.written(
+            serde_json::to_string(line).map_err(Into::into).and_then(|line| write(&self.path, &line)),
+        )
+    }
+
+    /// A sentence where writing fails for the first time.
+    fn written(&self, outcome: std::io::Result<()>) -> Option<String> {
+        match outcome {
             Ok(()) => {
                 self.troubled.store(false, Ordering::Relaxed);
                 None
@@ -295,12 +291,10 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_line_costs_nothing_but_itself_and_nobody_else_may_write() {
+    fn a_damaged_line_costs_nothing_but_itself() {
         let folder = tempfile::tempdir().unwrap();
         let (ledger, _) = opened(folder.path());
         ledger.enqueued(&job(1), false);
-        let second = Ledger::open(folder.path(), |_| String::new()).unwrap_err();
-        assert!(second.to_string().contains("another program"), "{second}");
         drop(ledger);
         let path = folder.path().join("jobs.jsonl");
         let text = std::fs::read_to_string(&path).unwrap();

@@ -31,8 +31,8 @@ pub enum JobsError {
     /// It did not come to an end that a retry could mend.
     #[error("job {0} waits, runs or is done: only what failed, was cancelled or interrupted is retried")]
     NotRetryable(JobId),
-    /// What it was made from is gone.
-    #[error("job {0} ({1}) cannot be repeated, because what was sent with it is not kept: send it again")]
+    /// What it was made from is gone, or somebody else's; a sentence says what to do.
+    #[error("job {0} cannot be repeated: {1}")]
     NotRepeatable(JobId, String),
     /// The key stands for another wish.
     #[error("the key {0:?} came with another wish before; give each wish a key of its own")]
@@ -162,6 +162,10 @@ impl Queue {
             }
             if let Some(like) = book.like(&order) {
                 drop(book);
+                if order.durable {
+                    // The one that waits may be one that a loss of power forgets.
+                    self.0.write_down(Ledger::sync);
+                }
                 // It may be due now.
                 self.0.woken.notify_all();
                 return Ok(like);
@@ -284,7 +288,9 @@ impl Queue {
         }
         match job.order.clone() {
             Some(order) => Ok((job, order)),
-            None => Err(JobsError::NotRepeatable(id, job.kind)),
+            None => {
+                Err(JobsError::NotRepeatable(id, "what was sent with it is not kept; send it again".into()))
+            }
         }
     }
 

@@ -168,6 +168,7 @@ impl Session {
                 None => Err(SessionError::DuplicateName { name: record.name, number }),
             };
         }
+        let json = to_json(&self.pair_dir(own).join(PAIR_RECORD), &record)?;
         let intended = (own, record.name.clone());
         if numbering.intended.as_ref() != Some(&intended) {
             self.require_room_for(&numbering, room::Wanted::Bytes(room::bytes_of(&record)))?;
@@ -175,11 +176,13 @@ impl Session {
         }
         numbering.intended = None;
         let (Attempt { number, attempt }, name, verdict) = (own, record.name.clone(), record.verdict);
-        match self.write_pair(&record, &new) {
+        match self.write_pair(&record, &json, &new) {
             // The pair is there, and its folder says so; the journal hears of it as soon as it can be written.
             Ok(()) => {
                 numbering.take(&record);
-                self.append_or_owe(&mut numbering, Event::PairCommitted { number, attempt, name, verdict });
+                let digest = Some(store::digest(&json));
+                let stored = Event::PairCommitted { number, attempt, name, verdict, record: digest };
+                self.append_or_owe(&mut numbering, stored);
                 Ok(Commit::Stored(record))
             }
             // It has its place, but the disk failed afterwards: its number is spent, and the next opening settles it.
@@ -244,11 +247,11 @@ impl Session {
 
     /// Fills a folder under a temporary name, then gives it its own. A folder of that name, should there be
     /// one, is not overwritten: the rename fails.
-    fn write_pair(&self, record: &PairRecord, new: &NewPair) -> Result<(), SessionError> {
+    fn write_pair(&self, record: &PairRecord, json: &[u8], new: &NewPair) -> Result<(), SessionError> {
         let pairs = self.pairs_dir();
         let aside = store::temporary_path(&pairs);
         std::fs::create_dir(&aside).map_err(SessionError::io(&aside))?;
-        let written = self.fill_and_name(record, new, &aside);
+        let written = self.fill_and_name(record, json, new, &aside);
         if written.is_err() {
             // On a full disk it would only take room; the first error is the one to tell.
             let _ = std::fs::remove_dir_all(&aside);
@@ -256,10 +259,15 @@ impl Session {
         written
     }
 
-    fn fill_and_name(&self, record: &PairRecord, new: &NewPair, aside: &Path) -> Result<(), SessionError> {
+    fn fill_and_name(
+        &self,
+        record: &PairRecord,
+        json: &[u8],
+        new: &NewPair,
+        aside: &Path,
+    ) -> Result<(), SessionError> {
         let pairs = self.pairs_dir();
-        let json = to_json(&self.pair_dir(record).join(PAIR_RECORD), record)?;
-        let mut files = vec![(PAIR_RECORD, json.as_slice())];
+        let mut files = vec![(PAIR_RECORD, json)];
         for ((_, record), frame) in record.frames().zip(new.frames()) {
             let own = frame_files(record, frame);
             match frame.prepared.as_ref().and_then(|prepared| prepared.staged) {

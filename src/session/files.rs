@@ -18,7 +18,7 @@ use std::time::SystemTime;
 /// Folders whose files are shown; of `derived/` the photographs' own maps, the rest are caches.
 const SHOWN: [&str; 5] = ["pairs", "calibration", "scene", "model", "derived/views"];
 /// Files at the top that are shown.
-const TOP: [&str; 2] = [super::MANIFEST, super::JOURNAL];
+const TOP: [&str; 3] = [super::MANIFEST, super::JOURNAL, super::SEQUENCE];
 /// No session of ours is deeper.
 const DEEPEST: usize = 8;
 

@@ -3,8 +3,9 @@
 //! The journal tells what was meant and what came of it; the folders alone say what is there.
 
 use super::{SessionError, lines};
-use crate::pair::Verdict;
+use crate::pair::{Attempt, Verdict};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -35,6 +36,9 @@ pub enum Event {
         name: String,
         /// What the checks said.
         verdict: Verdict,
+        /// BLAKE3 of its `pair.json`, hexadecimal; entries of before have none.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        record: Option<String>,
     },
     /// Nothing was stored of a pair: a device or the disk gave up, or somebody wanted it so.
     PairAbandoned {
@@ -101,6 +105,17 @@ pub(super) fn read(path: &Path) -> Result<Vec<Entry>, SessionError> {
         })
     };
     lines::read(path).map_err(SessionError::io(path))?.lines().enumerate().map(parse).collect()
+}
+
+/// BLAKE3 of the records of the pairs that were stored; those of before have none.
+pub(super) fn records(journal: &[Entry]) -> BTreeMap<Attempt, String> {
+    let digest = |entry: &Entry| match &entry.event {
+        Event::PairCommitted { number, attempt, record: Some(digest), .. } => {
+            Some((Attempt { number: *number, attempt: *attempt }, digest.clone()))
+        }
+        _ => None,
+    };
+    journal.iter().filter_map(digest).collect()
 }
 
 /// Cuts off a last line that a crash left without its newline, and says how many bytes it had.

@@ -55,6 +55,7 @@ pub const SCHEMA: u32 = 3;
 
 const MANIFEST: &str = "session.json";
 const JOURNAL: &str = "journal.jsonl";
+const SEQUENCE: &str = "sequence.json";
 const LOCK: &str = ".lock";
 const PAIR_RECORD: &str = "pair.json";
 const FOLDERS: [&str; 5] = ["pairs", "calibration", "scene", "derived", "model"];

@@ -3,7 +3,9 @@
 //! Folders alone say what is there; the journal says what was meant. A pair that was begun and whose folder is whole
 //! was stored, whatever the journal still lacks; one without a folder was interrupted, and is named.
 
-use super::{Entry, Event, InterruptedShot, JOURNAL, Numbering, Session, SessionError, journal, store};
+use super::{
+    Entry, Event, InterruptedShot, JOURNAL, Numbering, PAIR_RECORD, Session, SessionError, journal, store,
+};
 use crate::pair::{Attempt, PairRecord};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -114,7 +116,10 @@ impl Session {
             match self.attempt(own) {
                 Ok(record) if record.name == name => {
                     let verdict = record.verdict;
-                    self.append_or_owe(numbering, Event::PairCommitted { number, attempt, name, verdict });
+                    // One that cannot be read now goes without.
+                    let digest = store::digest_file(&self.pair_dir(own).join(PAIR_RECORD)).ok();
+                    let stored = Event::PairCommitted { number, attempt, name, verdict, record: digest };
+                    self.append_or_owe(numbering, stored);
                     recovery.completed.push(own);
                 }
                 _ => {

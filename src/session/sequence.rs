@@ -3,14 +3,15 @@
 //! Written whole before a pair is shot and after it ended, so that a program that was killed in between knows
 //! on its next start to which position the last pair belongs. Verdicts are not repeated here: the pairs have them.
 
-use super::{Session, SessionError, from_json, store, to_json};
+use super::{SEQUENCE, Session, SessionError, from_json, store, to_json};
+use crate::pair::order::{Order, Program};
 use serde::{Deserialize, Serialize};
+use std::io::ErrorKind;
 use std::path::PathBuf;
 
 /// The layout that this program writes.
 pub const SEQUENCE_SCHEMA: u32 = 1;
 
-const SEQUENCE: &str = "sequence.json";
 const TRIGGER: &str = "trigger";
 /// Most positions of a sequence.
 pub const MOST_POSITIONS: u32 = 1000;
@@ -53,12 +54,24 @@ pub struct SequencePlan {
     /// How often a rejected pair is taken again unasked before the operator is asked.
     #[serde(default)]
     pub retries: u32,
+    /// The order of each pair's frames.
+    #[serde(default)]
+    pub order: Order,
+    /// Frames without flash in a row.
+    #[serde(default = "one")]
+    pub off_frames: u8,
     /// What to do at each position, from the first; may be shorter than there are positions.
     #[serde(default)]
     pub instructions: Vec<String>,
 }
 
 impl SequencePlan {
+    /// So many positions, and nothing else asked for.
+    pub fn new(positions: u32, between: Between) -> Self {
+        let (order, off_frames) = (Order::default(), one());
+        Self { positions, between, interval_s: 0.0, retries: 0, order, off_frames, instructions: Vec::new() }
+    }
+
     /// What is wrong with it, in a sentence.
     pub fn fault(&self) -> Option<String> {
         let within = |value: f64, most: f64| (0.0..=most).contains(&value);
@@ -80,12 +93,19 @@ impl SequencePlan {
         if self.retries > MOST_RETRIES {
             return Some(format!("retries is {}; give 0 to {MOST_RETRIES}", self.retries));
         }
+        if let Err(error) = Program::new(self.order, self.off_frames) {
+            return Some(error.to_string());
+        }
         if lines > self.positions as usize {
             return Some(format!("there are {lines} instructions for {} positions", self.positions));
         }
         let at = self.instructions.iter().position(unfit)?;
         Some(format!("instruction {} must be one line of {LONGEST_INSTRUCTION} characters at most", at + 1))
     }
+}
+
+fn one() -> u8 {
+    1
 }
 
 /// What became of one position.
@@ -134,6 +154,24 @@ pub struct SequenceRecord {
     /// The pair that was being shot when this was written.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under_way: Option<UnderWay>,
+    /// When the last pair was begun, milliseconds since 1970.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last_begun_ms: Option<u64>,
+}
+
+impl SequenceRecord {
+    /// A sequence of which nothing is done.
+    pub fn planned(plan: SequencePlan) -> Self {
+        let positions = vec![PositionRecord::default(); plan.positions as usize];
+        Self {
+            schema: SEQUENCE_SCHEMA,
+            plan,
+            stage: Stage::Planned,
+            positions,
+            under_way: None,
+            last_begun_ms: None,
+        }
+    }
 }
 
 impl Session {
@@ -149,10 +187,10 @@ impl Session {
     /// The session's sequence, if one was planned.
     pub fn sequence(&self) -> Result<Option<SequenceRecord>, SessionError> {
         let file = self.sequence_file();
-        if !file.exists() {
-            return Ok(None);
-        }
-        let record: SequenceRecord = from_json(&file)?;
+        let record: SequenceRecord = match from_json(&file) {
+            Err(SessionError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => return Ok(None),
+            other => other?,
+        };
         if record.schema > SEQUENCE_SCHEMA {
             return Err(SessionError::TooNew { path: file, found: record.schema, known: SEQUENCE_SCHEMA });
         }
@@ -171,7 +209,9 @@ impl Session {
     pub fn set_sequence(&self, record: &SequenceRecord) -> Result<(), SessionError> {
         let _alone = self.numbering()?;
         let file = self.sequence_file();
-        store::write_atomic(&file, &to_json(&file, record)?).map_err(SessionError::io(&file))
+        store::write_atomic(&file, &to_json(&file, record)?).map_err(SessionError::io(&file))?;
+        self.wake_mirror(0);
+        Ok(())
     }
 
     /// Says whether the pair that was being shot when the program ended was stored, before its number can be another's.
@@ -193,9 +233,11 @@ impl Session {
         let _alone = self.numbering()?;
         let file = self.sequence_file();
         match std::fs::remove_file(&file) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(SessionError::io(&file)(error)),
-            _ => store::sync_folder(self.path()).map_err(SessionError::io(&file)),
+            Err(error) if error.kind() != ErrorKind::NotFound => return Err(SessionError::io(&file)(error)),
+            _ => store::sync_folder(self.path()).map_err(SessionError::io(&file))?,
         }
+        self.wake_mirror(0);
+        Ok(())
     }
 }
 
@@ -203,12 +245,9 @@ impl Session {
 mod tests {
     use super::*;
 
-    fn plan(positions: u32, between: Between) -> SequencePlan {
-        SequencePlan { positions, between, interval_s: 0.0, retries: 0, instructions: vec![] }
-    }
-
     #[test]
     fn senseless_plans_are_told_in_a_sentence() {
+        let plan = SequencePlan::new;
         let countdown = |seconds| plan(3, Between::Countdown { seconds });
         assert_eq!(plan(1, Between::Hook).fault(), None);
         assert_eq!(countdown(0.5).fault(), None);
@@ -221,6 +260,8 @@ mod tests {
             (countdown(f64::NAN), "countdown"),
             (SequencePlan { interval_s, ..plan(2, Between::Hook) }, "interval_s"),
             (SequencePlan { retries: 11, ..plan(2, Between::Hook) }, "retries"),
+            (SequencePlan { off_frames: 0, ..plan(2, Between::Hook) }, "0 frames"),
+            (SequencePlan { off_frames: 17, ..plan(2, Between::Hook) }, "1 to 16"),
             (SequencePlan { instructions: vec!["a".into(); 3], ..plan(2, Between::Hook) }, "3 instructions"),
             (SequencePlan { instructions: vec!["a\nb".into()], ..plan(2, Between::Hook) }, "instruction 1"),
             (
@@ -238,12 +279,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let session = Session::create(&folder.path().join("vase"), "vase").unwrap();
         assert_eq!(session.sequence().unwrap(), None);
+        let plan = SequencePlan::new(2, Between::Countdown { seconds: 5.0 });
         let record = SequenceRecord {
-            schema: SEQUENCE_SCHEMA,
-            plan: plan(2, Between::Countdown { seconds: 5.0 }),
             stage: Stage::Begun,
             positions: vec![PositionRecord { pairs: vec![1, 2], skipped: false }, PositionRecord::default()],
             under_way: Some(UnderWay { position: 2, pair: 3 }),
+            ..SequenceRecord::planned(plan)
         };
         session.set_sequence(&record).unwrap();
         assert_eq!(session.sequence().unwrap(), Some(record.clone()));

@@ -81,24 +81,31 @@ pub fn digest(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
 }
 
-/// Removes everything under `folder` that a crash left under a temporary name, and says what that was.
+/// Removes everything under `folder` that a crash left under a temporary name, and says what that was. What somebody who
+/// reads the session writes beside it may get its own name meanwhile: what has gone is as good as removed.
 pub(crate) fn remove_temporaries(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let mut removed = vec![];
     for entry in std::fs::read_dir(folder)? {
         let entry = entry?;
-        let is_folder = entry.file_type()?.is_dir();
+        let Some(kind) = unless_gone(entry.file_type())? else { continue };
         if entry.file_name().to_string_lossy().starts_with(TEMPORARY_PREFIX) {
-            if is_folder {
-                std::fs::remove_dir_all(entry.path())?;
-            } else {
-                std::fs::remove_file(entry.path())?;
-            }
-            removed.push(entry.path());
-        } else if is_folder {
-            removed.extend(remove_temporaries(&entry.path())?);
+            let path = entry.path();
+            let gone =
+                if kind.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+            removed.extend(unless_gone(gone)?.map(|()| path));
+        } else if kind.is_dir() {
+            removed.extend(unless_gone(remove_temporaries(&entry.path()))?.unwrap_or_default());
         }
     }
     Ok(removed)
+}
+
+/// `None` of what has gone in the meantime.
+fn unless_gone<T>(done: io::Result<T>) -> io::Result<Option<T>> {
+    match done {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        done => done.map(Some),
+    }
 }
 
 fn folder_of(path: &Path) -> &Path {
@@ -120,6 +127,29 @@ mod tests {
         write_atomic(&path, b"second").unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"second");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_readers_write_and_name_meanwhile_keeps_nobody_from_cleaning() {
+        let folder = tempfile::tempdir().unwrap();
+        let inner = folder.path().join("derived/thumbnails");
+        std::fs::create_dir_all(&inner).unwrap();
+        let over = std::sync::atomic::AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while !over.load(Ordering::Relaxed) {
+                    // A reader whose file was taken for a leftover makes it again.
+                    let _taken = write_atomic(&inner.join("a.jpg"), b"small");
+                }
+            });
+            let cleaned: Vec<_> = (0..2000).map(|_| remove_temporaries(folder.path())).collect();
+            over.store(true, Ordering::Relaxed);
+            for removed in cleaned {
+                removed.unwrap();
+            }
+        });
+        std::fs::write(inner.join(".tmp-1-1"), b"left").unwrap();
+        assert_eq!(remove_temporaries(folder.path()).unwrap(), [inner.join(".tmp-1-1")]);
     }
 
     #[test]

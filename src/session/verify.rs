@@ -3,6 +3,7 @@
 //! Nothing is changed and nothing stops the check: a record that cannot be read is a finding like any other.
 
 mod kept;
+mod sequence;
 
 use super::shots::{self, SHOT_RECORD, SHOT_STORED};
 use super::sidecars::is_sidecar;
@@ -75,6 +76,8 @@ const READING: &str = "reading originals again";
 
 struct Check<'a> {
     session: &'a Session,
+    /// BLAKE3 of the pairs' records.
+    records: BTreeMap<Attempt, String>,
     found: Verification,
 }
 
@@ -82,7 +85,7 @@ impl Session {
     /// Reads every original again and compares it with its BLAKE3, and so results of calibrations and the scene; compares
     /// folders and journal. Pairs may be stored meanwhile.
     pub fn verify(&self, progress: &Progress) -> Result<Verification, Cancelled> {
-        let mut check = Check { session: self, found: Verification::default() };
+        let mut check = Check { session: self, records: BTreeMap::new(), found: Verification::default() };
         let folders = {
             // No pair gets its folder or its line in the journal in between.
             let _still = self.numbering.as_ref().map(|n| n.lock().unwrap_or_else(PoisonError::into_inner));
@@ -90,7 +93,9 @@ impl Session {
         };
         let shots = check.folders(&self.calibration_dir().join("flash"));
         // A journal that cannot be read is told below.
-        let kept = check.expected(super::kept::kept(&self.journal().unwrap_or_default()));
+        let journal = self.journal().unwrap_or_default();
+        check.records = journal::records(&journal);
+        let kept = check.expected(super::kept::kept(&journal));
         let all = folders.len() + shots.len() + kept.len();
         for (done, folder) in folders.iter().enumerate() {
             progress.check()?;
@@ -109,6 +114,7 @@ impl Session {
         }
         progress.report(READING, all, all);
         check.journal(&folders);
+        check.sequence();
         check.found.findings.sort();
         Ok(check.found)
     }
@@ -117,7 +123,8 @@ impl Session {
 impl Session {
     /// The same for one attempt at a pair, the first if it is given by its number: what is not as it was stored.
     pub fn verify_pair(&self, attempt: impl Into<Attempt>) -> Vec<Finding> {
-        let mut check = Check { session: self, found: Verification::default() };
+        let records = journal::records(&self.journal().unwrap_or_default());
+        let mut check = Check { session: self, records, found: Verification::default() };
         check.pair(&self.pair_dir(attempt));
         check.found.findings
     }
@@ -127,6 +134,11 @@ impl Check<'_> {
     fn tell(&mut self, path: &Path, damage: Damage, why: impl Into<String>) {
         let path = path.strip_prefix(self.session.path()).unwrap_or(path).to_owned();
         self.found.findings.push(Finding { path, damage, why: why.into() });
+    }
+
+    fn is_told(&self, path: &Path) -> bool {
+        let path = path.strip_prefix(self.session.path()).unwrap_or(path);
+        self.found.findings.iter().any(|finding| finding.path == path)
     }
 
     /// The folders inside a folder, by name; what is none is told. No folder at all holds none.
@@ -163,10 +175,18 @@ impl Check<'_> {
             return self.tell(folder, Damage::Unknown, "its name is no pair's number");
         };
         self.found.pairs += 1;
-        let Some(record) = self.record::<PairRecord>(&folder.join(PAIR_RECORD)) else { return };
-        if Attempt::from(&record) != attempt {
-            let why = format!("it says that it is pair {}", Attempt::from(&record));
-            self.tell(&folder.join(PAIR_RECORD), Damage::Altered, why);
+        let file = folder.join(PAIR_RECORD);
+        let Some(record) = self.record::<PairRecord>(&file) else { return };
+        match (self.records.get(&attempt), store::digest_file(&file)) {
+            (Some(stored), Ok(now)) if now != *stored => {
+                self.tell(&file, Damage::Altered, differs(&now, stored))
+            }
+            (_, Err(error)) => self.tell(&file, Damage::Unreadable, error.to_string()),
+            _ if Attempt::from(&record) != attempt => {
+                let why = format!("it says that it is pair {}", Attempt::from(&record));
+                self.tell(&file, Damage::Altered, why);
+            }
+            _ => {}
         }
         let frames: Vec<&FrameRecord> = record.frames().map(|(_, frame)| frame).collect();
         self.frames(folder, PAIR_RECORD, &frames);
@@ -184,10 +204,7 @@ impl Check<'_> {
                 self.found.originals += 1;
                 self.found.bytes += data.len();
             }
-            (Ok(now), _) => {
-                let why = format!("its BLAKE3 is {}..., and {digest}... was stored", start(&now));
-                self.tell(file, Damage::Altered, why);
-            }
+            (Ok(now), _) => self.tell(file, Damage::Altered, differs(&now, digest)),
             (Err(error), _) => self.tell(file, Damage::Unreadable, error.to_string()),
         }
     }
@@ -251,10 +268,7 @@ impl Check<'_> {
                 self.found.originals += 1;
                 self.found.bytes += bytes;
             }
-            Ok(now) => {
-                let why = format!("its BLAKE3 is {}..., and {}... was stored", start(&now), start(digest));
-                self.tell(file, Damage::Altered, why);
-            }
+            Ok(now) => self.tell(file, Damage::Altered, differs(&now, digest)),
             Err(error) => self.tell(file, Damage::Unreadable, error.to_string()),
         }
     }
@@ -317,6 +331,8 @@ fn is_temporary(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(store::TEMPORARY_PREFIX))
 }
 
-fn start(digest: &str) -> &str {
-    digest.get(..12).unwrap_or(digest)
+/// What is wrong with a file whose BLAKE3 is `now`.
+fn differs(now: &str, stored: &str) -> String {
+    let start = |digest: &str| digest.get(..12).unwrap_or(digest).to_owned();
+    format!("its BLAKE3 is {}..., and {}... was stored", start(now), start(stored))
 }

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use unlit::pair::Settings;
 use unlit::progress::Progress;
 use unlit::session::{
-    Event, MirrorPatience, MirrorState, MirrorStatus, More, NewFrame, NewPair, SHOT_STORED, Session,
-    SessionError,
+    Between, Event, MirrorPatience, MirrorState, MirrorStatus, More, NewFrame, NewPair, PositionRecord,
+    SHOT_STORED, SequencePlan, SequenceRecord, Session, SessionError, Stage,
 };
 
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -346,6 +346,29 @@ fn a_disk_that_fails_at_any_moment_of_mirroring_is_told_and_caught_up() {
         }
     }
     panic!("there is no end to it");
+}
+
+#[test]
+fn the_copy_has_the_sequence_as_it_stands_and_none_once_it_is_forgotten() {
+    let place = Place::new();
+    place.commit(1);
+    let plan = SequencePlan::new(2, Between::Hook);
+    let positions = vec![PositionRecord { pairs: vec![1], skipped: false }, PositionRecord::default()];
+    let mut record = SequenceRecord { stage: Stage::Begun, positions, ..SequenceRecord::planned(plan) };
+    place.session.set_sequence(&record).unwrap();
+    place.start();
+    place.until_in_step();
+    let read = || std::fs::read(place.copy().join("sequence.json")).ok();
+    let copied = || read().map(|bytes| serde_json::from_slice::<SequenceRecord>(&bytes).unwrap());
+    assert_eq!(copied().as_ref(), Some(&record));
+    record.positions[1].skipped = true;
+    place.session.set_sequence(&record).unwrap();
+    place.until_in_step();
+    assert_eq!(copied(), Some(record));
+    place.session.forget_sequence().unwrap();
+    place.until_in_step();
+    assert_eq!(copied(), None);
+    place.check();
 }
 
 #[test]

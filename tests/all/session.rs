@@ -73,13 +73,20 @@ fn the_journal_tells_intent_and_result_in_order() {
     let session = Session::create(home.path(), "bath").unwrap();
     session.commit_pair(pair(Some("a"), b"1", b"2")).unwrap();
     session.record(Event::Note { what: "shutter".into(), detail: 7.into() }).unwrap();
+    let record = Some(unlit::session::store::digest_file(&home.path().join("pairs/0001/pair.json")).unwrap());
     let events: Vec<Event> = session.journal().unwrap().into_iter().map(|e| e.event).collect();
     assert_eq!(
         events,
         [
             Event::SessionCreated,
             Event::PairIntended { number: 1, attempt: 1, name: "a".into() },
-            Event::PairCommitted { number: 1, attempt: 1, name: "a".into(), verdict: Verdict::Accepted },
+            Event::PairCommitted {
+                number: 1,
+                attempt: 1,
+                name: "a".into(),
+                verdict: Verdict::Accepted,
+                record
+            },
             Event::Note { what: "shutter".into(), detail: 7.into() },
         ]
     );

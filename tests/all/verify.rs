@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use unlit::pair::Settings;
 use unlit::progress::{Cancelled, Progress};
 use unlit::session::{
-    Damage, Event, InterruptedShot, More, NewFrame, NewPair, SHOT_ABANDONED, SHOT_STARTED, Session,
-    Verification,
+    Between, Damage, Event, InterruptedShot, More, NewFrame, NewPair, SHOT_ABANDONED, SHOT_STARTED,
+    SequencePlan, SequenceRecord, Session, Stage, Verification,
 };
 
 fn verified(session: &Session) -> Verification {
@@ -136,6 +136,66 @@ fn commit(session: &Session) {
         more: More::default(),
     };
     session.commit_pair(pair).unwrap();
+}
+
+#[test]
+fn every_byte_of_a_record_counts_also_of_one_that_a_crash_left_whole() {
+    let (_folder, session) = bare_session();
+    commit(&session);
+    let path = session.path().to_owned();
+    let (file, journal) = (session.pair_dir(1).join("pair.json"), path.join("journal.jsonl"));
+    drop(session);
+    for crash in [false, true] {
+        if crash {
+            let text = std::fs::read_to_string(&journal).unwrap();
+            let (before, _) = text.trim_end().rsplit_once('\n').unwrap();
+            std::fs::write(&journal, format!("{before}\n")).unwrap();
+        }
+        let session = Session::open(&path).unwrap();
+        assert_eq!(session.recovery().completed.len(), usize::from(crash));
+        assert!(verified(&session).findings.is_empty());
+        let whole = std::fs::read_to_string(&file).unwrap();
+        let altered = whole.replace("\"name\": \"0001\"", "\"name\": \"0007\"");
+        assert_ne!(altered, whole);
+        std::fs::write(&file, altered).unwrap();
+        let found = verified(&session);
+        assert_eq!(told(&found), [("pairs/0001/pair.json".to_owned(), Damage::Altered)], "crash: {crash}");
+        assert_eq!(session.verify_pair(1), found.findings);
+        std::fs::write(&file, whole).unwrap();
+    }
+    // An entry of before, which has no digest, is as good as it was.
+    let text = std::fs::read_to_string(&journal).unwrap();
+    let cut = text.rfind(",\"record\":").unwrap();
+    std::fs::write(&journal, format!("{}}}\n", &text[..cut])).unwrap();
+    let session = Session::open(&path).unwrap();
+    assert!(verified(&session).findings.is_empty());
+    assert_eq!(session.recovery(), &Default::default());
+}
+
+#[test]
+fn a_sequence_that_cannot_be_read_or_whose_pair_is_gone_is_told() {
+    let (_folder, session) = bare_session();
+    commit(&session);
+    let plan = SequencePlan::new(2, Between::Hook);
+    let mut record = SequenceRecord { stage: Stage::Begun, ..SequenceRecord::planned(plan) };
+    record.positions[0].pairs = vec![1];
+    session.set_sequence(&record).unwrap();
+    assert_eq!(told(&verified(&session)), []);
+    assert!(session.files().unwrap().iter().any(|file| file.path == "sequence.json"));
+
+    record.positions[1].pairs = vec![2];
+    session.set_sequence(&record).unwrap();
+    let found = verified(&session);
+    assert_eq!(told(&found), [("pairs/0002".to_owned(), Damage::Missing)]);
+    assert!(found.findings[0].why.contains("position 2"), "{:?}", found.findings);
+    // What the journal calls stored is told once.
+    std::fs::rename(session.pair_dir(1), session.path().join("elsewhere")).unwrap();
+    let names: Vec<_> = told(&verified(&session)).into_iter().map(|(name, _)| name).collect();
+    assert_eq!(names, ["pairs/0001", "pairs/0002"]);
+
+    std::fs::write(session.path().join("sequence.json"), "{").unwrap();
+    let found = told(&verified(&session));
+    assert!(found.contains(&("sequence.json".to_owned(), Damage::Unreadable)), "{found:?}");
 }
 
 #[test]

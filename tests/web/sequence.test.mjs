@@ -21,6 +21,7 @@ test("the space bar takes position after position, a pause holds over a reload, 
   const panel = page.locator("section.sequence");
   await panel.getByText("Plan a sequence").click();
   await panel.getByLabel("Positions").fill("3");
+  await panel.getByLabel("Frames of each pair").selectOption("on_off");
   await panel.getByRole("button", { name: "Plan" }).click();
   await panel.getByRole("button", { name: "Start" }).click();
   await page.getByText("Position 1 of 3: get ready, then press space.").waitFor();
@@ -46,6 +47,7 @@ test("the space bar takes position after position, a pause holds over a reload, 
   await second.page.getByRole("button", { name: "Skip" }).click();
   await page.getByText("2 of 3 positions are done; skipped: 3.").first().waitFor();
   const now = await sequence();
+  assert.deepEqual([now.plan.order, now.plan.off_frames], ["on_off", 1]);
   assert.deepEqual(
     now.positions.map(({ accepted, skipped }) => [accepted, skipped]),
     [

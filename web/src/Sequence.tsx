@@ -3,6 +3,7 @@ import type { Live } from "./live";
 import {
   type Between,
   currentSequence,
+  type Order,
   type Sequence as SequenceState,
   sequences,
   useSecondsLeft,
@@ -113,6 +114,8 @@ function PlanForm({ live, session }: { live: Live; session: string }) {
   const [kind, setKind] = useState<Between["kind"]>("prompt");
   const [seconds, setSeconds] = useState("8");
   const [interval, setLeast] = useState("0");
+  const [order, setOrder] = useState<Order>("off_on");
+  const [offFrames, setOffFrames] = useState("1");
   const [sending, setSending] = useState(false);
   useEffect(() => setSending(false), [session]);
 
@@ -125,6 +128,8 @@ function PlanForm({ live, session }: { live: Live; session: string }) {
         between,
         interval_s: Number(interval),
         retries: 0,
+        order,
+        off_frames: Number(offFrames),
         instructions: [],
       }),
     );
@@ -153,6 +158,17 @@ function PlanForm({ live, session }: { live: Live; session: string }) {
         <Figure label={words.seconds} value={seconds} least={0} most={3600} onChange={setSeconds} />
       )}
       <Figure label={words.interval} value={interval} least={0} most={86400} onChange={setLeast} />
+      <label>
+        {words.order}
+        <select value={order} onChange={(event) => setOrder(event.currentTarget.value as Order)}>
+          {Object.entries(words.orders).map(([name, label]) => (
+            <option key={name} value={name}>
+              {label}
+            </option>
+          ))}
+        </select>
+      </label>
+      <Figure label={words.offFrames} value={offFrames} least={1} most={16} onChange={setOffFrames} />
       <button type="submit" disabled={sending}>
         {words.plan}
       </button>

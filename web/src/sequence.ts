@@ -11,11 +11,15 @@ export type Between =
   | { kind: "trigger_file" }
   | { kind: "hook" };
 
+export type Order = "off_on" | "on_off" | "off_on_off";
+
 export interface SequencePlan {
   positions: number;
   between: Between;
   interval_s: number;
   retries: number;
+  order: Order;
+  off_frames: number;
   instructions: string[];
 }
 

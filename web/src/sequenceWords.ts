@@ -1,6 +1,6 @@
 // What the page says by itself about sequences.
 
-import type { Between } from "./sequence";
+import type { Between, Order } from "./sequence";
 
 export const sequenceWords = {
   sequence: "Sequence",
@@ -17,6 +17,13 @@ export const sequenceWords = {
   } satisfies Record<Between["kind"], string>,
   seconds: "Seconds to walk",
   interval: "Least seconds from pair to pair",
+  order: "Frames of each pair",
+  orders: {
+    off_on: "off, on",
+    on_off: "on, off",
+    off_on_off: "off, on, off",
+  } satisfies Record<Order, string>,
+  offFrames: "Frames without flash in a row",
   plan: "Plan",
   start: "Start",
   pause: "Pause",

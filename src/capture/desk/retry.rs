@@ -4,13 +4,22 @@ use super::{Desk, DeskError};
 use crate::jobs::{Job, JobId, JobsError};
 use serde_json::Value;
 
+/// What the pair of a sequence's position is asked for with.
+pub(super) const POSITION: &str = "sequence_position";
+
 impl Desk {
     /// Asks again for what a job that failed, was cancelled or interrupted was asked for.
     pub fn retry(&self, id: JobId) -> Result<Job, DeskError> {
         let (job, order) = self.0.queue.to_repeat(id)?;
         let again = Desk(self.0.clone(), Some(id));
         let session = job.subject.as_str();
-        let lost = || DeskError::Jobs(JobsError::NotRepeatable(id, job.kind.clone()));
+        let refused = |why: String| DeskError::Jobs(JobsError::NotRepeatable(id, why));
+        let lost = || refused("what was asked for cannot be read any more; ask for it anew".into());
+        if let Some(position) = order[POSITION].as_u64() {
+            return Err(refused(format!(
+                "its pair is for position {position} of the sequence of {session}; tell the sequence `retry` or `skip`"
+            )));
+        }
         match job.kind.as_str() {
             "pair" => again.take_pair(Some(session), read(order).ok_or_else(lost)?),
             "find_exposure" => again.find_exposure(session, read(order).ok_or_else(lost)?),

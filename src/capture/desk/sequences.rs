@@ -1,5 +1,7 @@
 //! Sequences over the desk: each pair is an ordinary job of the rig's lane, so that others may shoot in between.
 
+use super::retry::POSITION;
+use super::works::Ask;
 use super::{Desk, DeskError, Inner};
 use crate::capture::events::Topic;
 use crate::capture::place::name_of;
@@ -38,6 +40,15 @@ impl Desk {
         if let Err(error) = self.conductor(session) {
             let words = format!("The sequence of {} cannot be taken up: {error}", name_of(session));
             self.0.events.tell(Topic::Trouble, words, json!({ "session": name_of(session) }));
+        }
+    }
+
+    /// Tells a session's sequence of a rejected pair that was shot again by hand and is good. One that nobody conducts
+    /// reads it from the pairs when it is taken up.
+    pub(super) fn mend_sequence(&self, session: &Session, pair: u32) {
+        let conductor = self.conductors().get(&name_of(session)).cloned();
+        if let Some(conductor) = conductor {
+            conductor.mended(pair);
         }
     }
 
@@ -103,12 +114,13 @@ impl Shooter for ByJobs {
     fn begin(&self, conductor: &Arc<Conductor>, position: u32) -> Result<(), String> {
         let desk = self.desk().ok_or("the program is ending")?;
         let (conductor, session, own) = (conductor.clone(), self.session.clone(), desk.clone());
-        let queued = desk.enqueue("pair", name_of(&self.session), Lane::Rig, false, move |progress| {
+        let ask = Ask::new("pair", Lane::Rig).again(json!({ POSITION: position }));
+        let queued = desk.ask(ask, name_of(&self.session), move |progress| {
             let record = conductor.take_pair(&own.0.engine, own.0.after_pair.as_ref(), progress)?;
             own.go_on_from(&session, &record);
-            let (session, number) = (name_of(&session), record.number);
             Ok(json!({
-                "session": session, "number": number, "verdict": record.verdict, "position": position,
+                "session": name_of(&session), "number": record.number, "attempt": record.attempt,
+                "verdict": record.verdict, "position": position,
             }))
         });
         *self.job() = Some(queued.map_err(|error| error.to_string())?.id);

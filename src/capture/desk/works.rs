@@ -68,6 +68,9 @@ impl Desk {
         self.ask(Ask::new("pair", Lane::Rig).again(json!(wish)), name_of(&session), move |progress| {
             let after_pair = desk.0.after_pair.as_ref();
             let record = desk.0.engine.shoot_pair_as(&session, wish, after_pair, progress)?;
+            if record.verdict == Verdict::Accepted && wish.again.is_some() {
+                desk.mend_sequence(&session, record.number);
+            }
             desk.go_on_from(&session, &record);
             let (number, attempt, verdict) = (record.number, record.attempt, record.verdict);
             Ok(json!({ "session": name_of(&session), "number": number, "attempt": attempt, "verdict": verdict }))
@@ -183,7 +186,7 @@ impl Desk {
     pub fn import_scene(&self, session: &str, files: SceneFiles) -> Result<Job, DeskError> {
         let session = self.session(session)?;
         let desk = self.clone();
-        self.enqueue("import_scene", name_of(&session), Lane::Processing, false, move |progress| {
+        self.ask(Ask::new("import_scene", Lane::Processing), name_of(&session), move |progress| {
             let result = (desk.0.works.import_scene)(&session, files, progress)?;
             desk.process_if_ready(&session);
             Ok(result)
@@ -280,17 +283,6 @@ impl Desk {
         let (process, subject) = (self.0.works.process.clone(), name_of(&session));
         let ask = ask.again(json!({})).coalescing();
         self.ask(ask, subject, move |progress| Ok(process(&session, (), progress)?))
-    }
-
-    pub(super) fn enqueue(
-        &self,
-        kind: &'static str,
-        subject: String,
-        lane: Lane,
-        coalesce: bool,
-        work: impl FnOnce(&Progress) -> Result<Value, JobError> + Send + 'static,
-    ) -> Result<Job, DeskError> {
-        self.ask(Ask { coalesce, ..Ask::new(kind, lane) }, subject, work)
     }
 
     /// Queues a job about the session of this name as `ask` says.

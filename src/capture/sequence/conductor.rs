@@ -1,7 +1,7 @@
 //! Runs a session's sequence: takes wishes, keeps `sequence.json`, has pairs taken, watches clock and trigger file.
 //!
 //! The conductor owns no device. Each pair is set off through a [`Shooter`] and told back, so that others may shoot
-//! in between. It has a thread only while time or the trigger file matters; whoever drops it ends that too.
+//! in between. Its clock is a thread that lives only while time or the trigger file matters; whoever drops it ends that too.
 
 use super::error::SequenceError;
 use super::ledger;
@@ -18,14 +18,8 @@ use crate::session::{SequencePlan, SequenceRecord, Session};
 use serde_json::json;
 use std::collections::VecDeque;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use std::time::{Duration, Instant};
-
-/// How often clock, trigger file and pair are looked at. The kernel's notices of files would come sooner, but not
-/// from network disks.
-const GLANCE: Duration = Duration::from_millis(200);
-/// Shortest nap of the clock.
-const SHORTEST_NAP: Duration = Duration::from_millis(5);
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// Has pairs taken.
 pub trait Shooter: Send + Sync {
@@ -38,40 +32,50 @@ pub trait Shooter: Send + Sync {
     fn is_lost(&self) -> bool;
 }
 
-struct Inside {
-    sequence: Option<(SequencePlan, State)>,
+/// What is behind the conductor's lock.
+pub(super) struct Inside {
+    pub(super) sequence: Option<(SequencePlan, State)>,
     /// What is on the disk.
     kept: Option<SequenceRecord>,
     /// Whether the clock's thread lives.
-    ticking: bool,
+    pub(super) ticking: bool,
 }
 
 /// A session's sequence.
 pub struct Conductor {
     session: Arc<Session>,
-    name: String,
-    trigger: PathBuf,
-    shooter: Box<dyn Shooter>,
+    pub(super) name: String,
+    pub(super) trigger: PathBuf,
+    pub(super) shooter: Box<dyn Shooter>,
     events: Events,
-    born: Instant,
+    /// When it was made: by the wall, since 1970, and by the clock that nobody puts back.
+    born: (Duration, Instant),
     inside: Mutex<Inside>,
     /// A copy for those who must not wait for the disk.
     shown: Mutex<Option<(SequencePlan, State)>>,
 }
 
-/// The sequence of a session as its files tell it.
-fn restore(session: &Session) -> Result<Option<(SequenceRecord, State)>, SequenceError> {
+/// Since 1970.
+fn wall() -> Duration {
+    // A clock before 1970 is a clock that is not set.
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
+}
+
+/// The sequence of a session as its files tell it at `now`.
+fn restore(session: &Session, now: Duration) -> Result<Option<(SequenceRecord, State)>, SequenceError> {
     let Some(record) = session.sequence()? else { return Ok(None) };
     let pairs = session.pairs()?;
     let verdict = |number| pairs.iter().find(|pair| pair.number == number).map(|pair| pair.verdict);
-    let state = ledger::restored(&record, |number| verdict(number).map(|v| v == Verdict::Accepted));
+    let state = ledger::restored(&record, now, |number| verdict(number).map(|v| v == Verdict::Accepted));
     Ok(Some((record, state)))
 }
 
 /// The sequence of a session that nobody conducts here.
 pub(in crate::capture) fn read(session: &Session) -> Result<SequenceView, SequenceError> {
-    let (record, state) = restore(session)?.ok_or_else(|| SequenceError::NotPlanned(name_of(session)))?;
-    Ok(view(&name_of(session), &record.plan, &state, Duration::ZERO))
+    let now = wall();
+    let (record, state) =
+        restore(session, now)?.ok_or_else(|| SequenceError::NotPlanned(name_of(session)))?;
+    Ok(view(&name_of(session), &record.plan, &state, now))
 }
 
 impl Conductor {
@@ -83,7 +87,8 @@ impl Conductor {
         events: Events,
         trigger: PathBuf,
     ) -> Result<Arc<Self>, SequenceError> {
-        let restored = restore(&session)?;
+        let born = (wall(), Instant::now());
+        let restored = restore(&session, born.0)?;
         let kept = restored.as_ref().map(|(record, _)| record.clone());
         let sequence = restored.map(|(record, state)| (record.plan, state));
         let conductor = Arc::new(Self {
@@ -92,7 +97,7 @@ impl Conductor {
             trigger,
             shooter,
             events,
-            born: Instant::now(),
+            born,
             shown: Mutex::new(sequence.clone()),
             inside: Mutex::new(Inside { sequence, kept, ticking: false }),
         });
@@ -102,13 +107,13 @@ impl Conductor {
         Ok(conductor)
     }
 
-    fn inside(&self) -> MutexGuard<'_, Inside> {
+    pub(super) fn inside(&self) -> MutexGuard<'_, Inside> {
         // State and file are replaced whole.
         self.inside.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn now(&self) -> Duration {
-        self.born.elapsed()
+    pub(super) fn now(&self) -> Duration {
+        self.born.0 + self.born.1.elapsed()
     }
 
     fn not_planned(&self) -> SequenceError {
@@ -200,6 +205,11 @@ impl Conductor {
         self.view()
     }
 
+    /// Somebody shot a rejected pair again by hand, and it is good: its position is done, if it is one of the sequence's.
+    pub(in crate::capture) fn mended(self: &Arc<Self>, pair: u32) {
+        let _of_no_position = self.apply(&mut self.inside(), Event::Mended(pair));
+    }
+
     /// Begins it, or goes on with it.
     pub fn go_on(self: &Arc<Self>) -> Result<SequenceView, SequenceError> {
         let planned = self.view()?.state == SequenceState::Planned;
@@ -221,7 +231,7 @@ impl Conductor {
     }
 
     /// Lets something happen, and what follows from it. A wish that cannot be written down is not taken.
-    fn apply(self: &Arc<Self>, inside: &mut Inside, event: Event) -> Result<(), SequenceError> {
+    pub(super) fn apply(self: &Arc<Self>, inside: &mut Inside, event: Event) -> Result<(), SequenceError> {
         self.take_in(inside, event)?;
         self.show(inside);
         self.announce();
@@ -235,7 +245,12 @@ impl Conductor {
         // What has happened has happened, and what shall stop stops, whatever the disk says.
         let is_fact = matches!(
             event,
-            Event::Shot { .. } | Event::Failed(_) | Event::Hindered(_) | Event::Pause | Event::Cancel
+            Event::Shot { .. }
+                | Event::Failed(_)
+                | Event::Mended(_)
+                | Event::Hindered(_)
+                | Event::Pause
+                | Event::Cancel
         );
         let Some((next, effects)) = step(&plan, &state, event, self.now()) else {
             return Err(self.refused(wish, &plan, &state));
@@ -307,76 +322,25 @@ impl Conductor {
         after_pair: Option<&AfterPair>,
         progress: &Progress,
     ) -> Result<PairRecord, CaptureError> {
-        let again = self.rejected_before();
-        let number = again.map_or_else(|| self.session.next_pair_number(), Ok)?;
+        let wish = self.pair_wish().ok_or(Cancelled)?;
+        let number = wish.again.map_or_else(|| self.session.next_pair_number(), Ok)?;
         match self.apply(&mut self.inside(), Event::Begun(number)) {
             Err(SequenceError::Session(error)) => return Err(error.into()),
             Err(_) => return Err(Cancelled.into()),
             Ok(()) => {}
         }
-        let wish = PairWish { again, ..PairWish::default() };
         engine.shoot_pair_as(&self.session, wish, after_pair, progress)
     }
 
-    /// The rejected pair of the position whose pair is set off: it is shot again under its own number, by which the
-    /// position's camera is matched.
-    fn rejected_before(&self) -> Option<u32> {
+    /// What is asked of the pair that is set off; `None` if none is. The rejected pair of its position is shot again
+    /// under its own number, by which the position's camera is matched.
+    fn pair_wish(&self) -> Option<PairWish> {
         let inside = self.inside();
-        let (_, state) = inside.sequence.as_ref()?;
-        let (position, _) = state.under_way?;
-        let before = *state.positions.get(position.checked_sub(1)? as usize)?.pairs.last()?;
-        self.session.rejected_pair(before).is_ok().then_some(before)
-    }
-
-    /// How long until the clock has to look again; `None` while nothing is to be looked at.
-    fn nap(&self, inside: &Inside) -> Option<Duration> {
         let (plan, state) = inside.sequence.as_ref()?;
-        // Never a long sleep: a pause may shorten it, and whoever drops the conductor must not wait long.
-        let due = state.due(plan).map(|due| due.saturating_sub(self.now()).clamp(SHORTEST_NAP, GLANCE));
-        due.or((state.under_way.is_some() || state.watches(plan)).then_some(GLANCE))
-    }
-
-    fn start_clock(self: &Arc<Self>, inside: &mut Inside) {
-        if inside.ticking || self.nap(inside).is_none() {
-            return;
-        }
-        let weak = Arc::downgrade(self);
-        match std::thread::Builder::new().name("sequence".into()).spawn(move || tick(&weak)) {
-            Ok(_) => inside.ticking = true,
-            Err(error) => tracing::error!("no thread to be had for the sequence of {}: {error}", self.name),
-        }
-    }
-
-    /// One look at clock, trigger file and pair; gives the next nap.
-    fn look(self: &Arc<Self>) -> Option<Duration> {
-        let mut inside = self.inside();
-        if let Some((plan, state)) = &inside.sequence {
-            let event = if state.under_way.is_some() {
-                self.shooter.is_lost().then(|| Event::Failed("The pair was cancelled.".into()))
-            } else if state.due(plan).is_some_and(|due| due <= self.now()) {
-                Some(Event::Tick)
-            } else {
-                (state.watches(plan) && self.trigger.exists()).then_some(Event::Triggered)
-            };
-            if let Some(event) = event
-                && let Err(error) = self.apply(&mut inside, event)
-            {
-                tracing::error!("the sequence of {} is stuck: {error}", self.name);
-            }
-        }
-        let nap = self.nap(&inside);
-        inside.ticking = nap.is_some();
-        nap
-    }
-}
-
-/// The clock's thread.
-fn tick(conductor: &Weak<Conductor>) {
-    let mut nap = Some(SHORTEST_NAP);
-    while let Some(length) = nap {
-        std::thread::sleep(length);
-        // Between two looks the conductor may be dropped.
-        nap = conductor.upgrade().and_then(|conductor| conductor.look());
+        let (position, _) = state.under_way?;
+        let before = state.positions.get(position.checked_sub(1)? as usize)?.pairs.last().copied();
+        let again = before.filter(|number| self.session.rejected_pair(*number).is_ok());
+        Some(PairWish { order: Some(plan.order), off_frames: Some(plan.off_frames), again })
     }
 }
 

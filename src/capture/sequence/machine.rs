@@ -1,6 +1,6 @@
 //! A sequence's life as a pure function: `(plan, state, event, now) -> (state, effects)`.
 //!
-//! It touches nothing and has no clock but the one it is told; [`super::Conductor`] does the effects and feeds
+//! It touches nothing and has no clock but the one it is told (since 1970, and never back); [`super::Conductor`] does the effects and feeds
 //! back what happened. What it promises, and what its property tests hold it to: positions are taken in order;
 //! none is left out unless somebody said so; nothing is shot without a go, nor while paused, nor before the
 //! interval is over; of two goes for one position one counts; a position whose pair was accepted is never shot
@@ -88,7 +88,7 @@ pub(super) struct State {
     pub(super) positions: Vec<Position>,
     /// A pair that was begun and has not ended: its position, and its number once that is known.
     pub(super) under_way: Option<(u32, Option<u32>)>,
-    /// When the last pair was begun.
+    /// When the last pair was begun, by the clock: it is kept over a restart.
     pub(super) last_begun: Option<Duration>,
 }
 
@@ -126,6 +126,8 @@ pub enum Event {
     },
     /// No pair came of it; a sentence.
     Failed(String),
+    /// Somebody shot this rejected pair again by hand, and it is good.
+    Mended(u32),
 }
 
 /// What is to be done.
@@ -209,6 +211,12 @@ impl State {
         };
     }
 
+    /// The position is settled: whoever waits for that hears of it, and the next is waited at.
+    fn leave(&mut self, now: Duration, to_do: &mut Vec<Effect>) {
+        to_do.push(Effect::Acknowledge);
+        self.go_on(now);
+    }
+
     /// Takes a pair, or waits until the interval is over.
     fn shoot(
         &mut self,
@@ -223,7 +231,6 @@ impl State {
         } else {
             self.phase = Phase::Shooting { position, tries };
             self.under_way = Some((position, None));
-            self.last_begun = Some(now);
             to_do.push(Effect::Shoot(position));
         }
     }
@@ -234,6 +241,12 @@ impl State {
         if let Phase::Resting { position, .. } = self.phase {
             self.phase = Phase::Waiting { position, since: now };
         }
+    }
+
+    /// Whether nothing more is to be shot at a position.
+    fn is_settled(&self, position: u32) -> bool {
+        let place = (position as usize).checked_sub(1).and_then(|at| self.positions.get(at));
+        place.is_some_and(Position::is_settled)
     }
 
     /// Takes in what came of the pair that was under way; `None` if there was none.
@@ -313,8 +326,7 @@ pub(super) fn step(
             Event::Skip,
         ) => {
             next.place(position)?.skipped = true;
-            to_do.push(Effect::Acknowledge);
-            next.go_on(now);
+            next.leave(now, &mut to_do);
         }
 
         (phase, Event::Cancel) if phase != Phase::Done => {
@@ -327,17 +339,19 @@ pub(super) fn step(
 
         (_, Event::Begun(pair)) => {
             let (position, None) = state.under_way? else { return None };
+            if state.is_settled(position) {
+                return None;
+            }
             next.under_way = Some((position, Some(pair)));
+            next.last_begun = Some(now);
         }
         (phase, Event::Shot { pair, rejected }) => {
             next.ended(Some(pair), rejected.is_none())?;
             // A pair that was being written when all was cancelled is kept, and nothing follows.
             if let Phase::Shooting { position, tries } = phase {
                 match rejected {
-                    None => {
-                        to_do.push(Effect::Acknowledge);
-                        next.go_on(now);
-                    }
+                    Some(_) if next.is_settled(position) => next.leave(now, &mut to_do),
+                    None => next.leave(now, &mut to_do),
                     Some(_) if tries < plan.retries && state.paused.is_none() => {
                         next.shoot(plan, position, tries + 1, now, &mut to_do);
                     }
@@ -347,8 +361,25 @@ pub(super) fn step(
         }
         (phase, Event::Failed(why)) => {
             next.ended(None, false)?;
-            if let Phase::Shooting { position, .. } = phase {
-                next.phase = Phase::Asking { position, why };
+            match phase {
+                Phase::Shooting { position, .. } if next.is_settled(position) => next.leave(now, &mut to_do),
+                Phase::Shooting { position, .. } => next.phase = Phase::Asking { position, why },
+                _ => {}
+            }
+        }
+        (phase, Event::Mended(pair)) => {
+            let unsettled = |place: &&mut Position| place.accepted.is_none() && place.pairs.contains(&pair);
+            next.positions.iter_mut().find(unsettled)?.accepted = Some(pair);
+            match phase {
+                // A pair that was set off meanwhile is not begun any more.
+                Phase::Waiting { position, .. }
+                | Phase::Resting { position, .. }
+                | Phase::Asking { position, .. }
+                    if next.is_settled(position) =>
+                {
+                    next.leave(now, &mut to_do);
+                }
+                _ => {}
             }
         }
         _ => return None,

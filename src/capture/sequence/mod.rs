@@ -5,6 +5,7 @@
 //! once somebody says so; [`view`] puts it into words.
 
 mod alone;
+mod clock;
 mod conductor;
 mod error;
 mod ledger;

@@ -211,24 +211,25 @@ fn what_waits_for_the_rig_to_rest_begins_then_or_when_somebody_asks_for_it() {
 }
 
 /// A queue that goes on where the one before in this folder ended.
-fn resumed(folder: &std::path::Path) -> Queue {
-    // The threads of the queue before hold the ledger's lock until they have ended.
+/// A queue that goes on with the ledger in `folder` once the one before, which holds `alive`, has ended: its threads may write
+/// until then.
+fn resumed(folder: &std::path::Path, alive: &Arc<()>) -> Queue {
     let end = Instant::now() + Duration::from_secs(10);
-    let ledger = loop {
-        match Ledger::open(folder, |_| "cut short".into()) {
-            Ok(ledger) => break ledger,
-            Err(error) => assert!(Instant::now() < end, "{error}"),
-        }
+    while Arc::strong_count(alive) > 1 {
+        assert!(Instant::now() < end, "its threads go on");
         std::thread::yield_now();
-    };
-    Queue::resume(ledger, |_| {}, |words| panic!("{words}")).unwrap()
+    }
+    let ledger = Ledger::open(folder, |_| "cut short".into()).unwrap();
+    let held = alive.clone();
+    Queue::resume(ledger, move |_| drop(held.clone()), |words| panic!("{words}")).unwrap()
 }
 
 #[test]
 fn a_queue_after_another_goes_on_counting_and_knows_what_was_cut_short() {
     let folder = tempfile::tempdir().unwrap();
+    let alive = Arc::new(());
     let (done, cut) = {
-        let queue = resumed(folder.path());
+        let queue = resumed(folder.path(), &alive);
         let done = queue.enqueue(order("first", false, Box::new(|_| Ok(7.into())))).unwrap().id;
         assert_eq!(finished(&queue, done).state, JobState::Done);
         let (_, go) = gated(&queue, "second");
@@ -243,13 +244,14 @@ fn a_queue_after_another_goes_on_counting_and_knows_what_was_cut_short() {
         (done, cut.id)
     };
     std::fs::copy(folder.path().join("killed"), folder.path().join("jobs.jsonl")).unwrap();
-    let queue = resumed(folder.path());
+    let queue = resumed(folder.path(), &alive);
     let before = queue.get(done).unwrap();
     assert_eq!((before.state, before.result), (JobState::Done, Some(7.into())));
     assert_eq!(queue.get(cut).unwrap().state, JobState::Interrupted);
     assert_eq!(queue.to_repeat(cut).unwrap().1, 1);
     assert_eq!(queue.to_repeat(done).err(), Some(JobsError::NotRetryable(done)));
-    assert_eq!(queue.to_repeat(cut - 1).err(), Some(JobsError::NotRepeatable(cut - 1, "second".into())));
+    let gone = queue.to_repeat(cut - 1).err();
+    assert!(matches!(gone, Some(JobsError::NotRepeatable(id, _)) if id == cut - 1), "{gone:?}");
     assert_eq!(queue.cancel(cut), Err(JobsError::Finished(cut)));
     let next = queue.enqueue(order("next", false, Box::new(|_| Ok(1.into())))).unwrap().id;
     assert_eq!(next, cut + 1);
@@ -275,7 +277,7 @@ fn a_key_stands_for_one_job_and_a_refused_wish_leaves_it_free() {
 #[test]
 fn many_at_once_get_the_one_job_and_it_begins_only_when_its_key_is_known() {
     let folder = tempfile::tempdir().unwrap();
-    let (queue, asked) = (resumed(folder.path()), std::sync::atomic::AtomicU32::new(0));
+    let (queue, asked) = (resumed(folder.path(), &Arc::new(())), std::sync::atomic::AtomicU32::new(0));
     let ledger = folder.path().join("jobs.jsonl");
     let start = std::sync::Barrier::new(8);
     let ask = || {
@@ -302,8 +304,9 @@ fn many_at_once_get_the_one_job_and_it_begins_only_when_its_key_is_known() {
 #[test]
 fn keys_outlive_the_program_and_keep_their_jobs_from_being_forgotten() {
     let folder = tempfile::tempdir().unwrap();
+    let alive = Arc::new(());
     let (keyed, cut) = {
-        let queue = resumed(folder.path());
+        let queue = resumed(folder.path(), &alive);
         let (keyed, _) = queue.once("keyed", "wish", || quick(&queue)).unwrap();
         finished(&queue, keyed.id);
         let last = (0..REMEMBERED + 10).map(|_| finished(&queue, quick(&queue).unwrap().id)).last().unwrap();
@@ -313,18 +316,38 @@ fn keys_outlive_the_program_and_keep_their_jobs_from_being_forgotten() {
         let (cut, _) = queue.once("cut", "wish", || quick(&queue)).unwrap();
         std::fs::copy(folder.path().join("jobs.jsonl"), folder.path().join("killed")).unwrap();
         go.send(()).unwrap();
-        assert!(queue.shut_down(Duration::from_secs(10)));
+        assert!(queue.shut_down(Duration::from_secs(10), || {}));
         (keyed.id, cut.id)
     };
     std::fs::copy(folder.path().join("killed"), folder.path().join("jobs.jsonl")).unwrap();
     for _ in 0..2 {
-        let queue = resumed(folder.path());
+        let queue = resumed(folder.path(), &alive);
         let again =
             |key| queue.once(key, "wish", || -> Result<_, JobsError> { panic!("{key} was forgotten") });
         let state = |key| again(key).map(|(job, before)| (job.id, job.state, before));
         assert_eq!(state("keyed"), Ok((keyed, JobState::Done, true)));
         assert_eq!(state("cut"), Ok((cut, JobState::Interrupted, true)));
         assert_eq!(queue.once("cut", "other", || quick(&queue)), Err(JobsError::KeyReused("cut".into())));
-        assert!(queue.shut_down(Duration::from_secs(10)));
+        assert!(queue.shut_down(Duration::from_secs(10), || {}));
     }
+}
+
+#[test]
+fn a_durable_wish_that_a_waiting_job_fulfils_reaches_the_disk_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let ledger = Ledger::open(folder.path(), |_| String::new()).unwrap();
+    let (tell, told) = mpsc::channel();
+    let queue = Queue::resume(ledger, |_| {}, move |words| tell.send(words).unwrap()).unwrap();
+    let (_, go) = gated(&queue, "process");
+    let noop = || -> Work { Box::new(|_| Ok(serde_json::Value::Null)) };
+    let unasked = queue.enqueue(order("process", true, noop())).unwrap();
+    // From here on the disk refuses.
+    std::fs::remove_file(folder.path().join("jobs.jsonl")).unwrap();
+    std::fs::create_dir(folder.path().join("jobs.jsonl")).unwrap();
+    assert_eq!(queue.enqueue(order("process", true, noop())).unwrap().id, unasked.id);
+    assert!(told.try_recv().is_err(), "nobody was promised anything");
+    let wish = Order { durable: true, ..order("process", true, noop()) };
+    assert_eq!(queue.enqueue(wish).unwrap().id, unasked.id);
+    assert!(told.try_recv().unwrap().contains("could not be written"));
+    go.send(()).unwrap();
 }

@@ -5,9 +5,10 @@
 //! is the queue. A copy that fails is told once and tried again, ever more seldom; one that hangs is told by whoever asks,
 //! and is never waited for beyond a limit.
 //!
-//! Copied is what cannot be made again: pairs, calibration, scene, `session.json` and the journal, which comes last, so
-//! that the copy is a session by itself and holds whatever its journal speaks of.
+//! Copied is what cannot be made again: pairs, calibration, scene, `session.json`, `sequence.json` and the journal, which
+//! comes last, so that the copy is a session by itself and holds whatever its journal speaks of.
 
+mod account;
 mod copy;
 mod outcome;
 mod round;

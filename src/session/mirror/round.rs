@@ -1,12 +1,14 @@
 //! One look of a mirror: what is there, what is missing, and the copying of it.
 
+use super::account::{entries, files_of, whole_lines};
 use super::copy::{CopyError, bytes_of, copy, copy_aside, length_of, mirror, source, write};
 use super::outcome::{Outcome, Unfit, told};
+use crate::pair::Attempt;
+use crate::session::journal::records;
 use crate::session::kept::{Kept, kept};
 use crate::session::lock::{Access, Lock};
-use crate::session::{Entry, JOURNAL, LOCK, MANIFEST, Manifest, PAIR_RECORD, SessionError, shots, store};
-use serde_json::Value;
-use std::collections::{BTreeMap, BTreeSet, HashSet};
+use crate::session::{JOURNAL, LOCK, MANIFEST, Manifest, PAIR_RECORD, SEQUENCE, SessionError, shots, store};
+use std::collections::{BTreeSet, HashSet};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
@@ -157,9 +159,12 @@ impl Copyist {
     /// Copies everything that is missing; gives sentences on what was not, because it would have had to overwrite
     /// something or is damaged itself.
     fn copy_missing(&mut self, answered: &dyn Fn(usize) -> bool) -> Result<Vec<String>, CopyError> {
-        // What the journal speaks of from here on is there to be copied: it is written last on both sides.
+        // What journal and sequence speak of from here on is there to be copied: they are written last on both sides.
         let lines = whole_lines(&self.session.join(JOURNAL))?;
-        let files = kept(&entries(&lines));
+        let sequence = self.session.join(SEQUENCE);
+        let sequence = bytes_of(&sequence).map_err(source(&sequence))?;
+        let journal = entries(&lines);
+        let (files, records) = (kept(&journal), records(&journal));
         self.copy_manifest()?;
         let missing = self.missing(answered)?;
         let (mut left, mut unfit) = (missing.len() + 1, vec![]);
@@ -170,7 +175,9 @@ impl Copyist {
             }
             let (path, done) = match one {
                 Missing::Unit(path, record) => {
-                    let done = self.copy_unit(&path, record, &go_on);
+                    let name = path.file_name().unwrap_or_default().to_string_lossy();
+                    let stored = Attempt::from_folder(&name).and_then(|attempt| records.get(&attempt));
+                    let done = self.copy_unit(&path, (record, stored), &go_on);
                     (path, done)
                 }
                 Missing::Original(path) => {
@@ -194,6 +201,7 @@ impl Copyist {
             left -= 1;
         }
         answered(left);
+        self.copy_sequence(sequence.as_deref())?;
         unfit.extend(told(self.copy_journal(&lines))?);
         Ok(unfit)
     }
@@ -252,7 +260,12 @@ impl Copyist {
     }
 
     /// A folder with its record: all at once where there is none, else what it lacks.
-    fn copy_unit(&self, path: &Path, record: &str, go_on: &dyn Fn() -> bool) -> Result<(), Unfit> {
+    fn copy_unit(
+        &self,
+        path: &Path,
+        (record, stored): (&str, Option<&String>),
+        go_on: &dyn Fn() -> bool,
+    ) -> Result<(), Unfit> {
         let (from, to) = (self.session.join(path), self.folder.join(path));
         let Some(bytes) = bytes_of(&from.join(record)).map_err(source(&from))? else {
             return Err(Unfit::Words(format!("{} has no {record}, and was not copied", from.display())));
@@ -266,7 +279,10 @@ impl Copyist {
             .collect();
         let digest = |file: &Path| {
             let name = file.file_name().unwrap_or_default().to_string_lossy();
-            originals.get(name.as_ref()).map(|(_, digest)| digest.as_str())
+            match originals.get(name.as_ref()) {
+                None if name == record => stored.map(String::as_str),
+                original => original.map(|(_, digest)| digest.as_str()),
+            }
         };
         if !to.try_exists().map_err(mirror(&to))? {
             let parent = to.parent().unwrap_or(&self.folder);
@@ -337,6 +353,19 @@ impl Copyist {
         Ok(copy_aside(&from, &to, Some(&digest), go_on)?)
     }
 
+    /// The sequence as it stood when this look began, or none where there was none.
+    fn copy_sequence(&self, bytes: Option<&[u8]>) -> Result<(), CopyError> {
+        let to = self.folder.join(SEQUENCE);
+        let there = bytes_of(&to).map_err(mirror(&to))?;
+        match bytes {
+            bytes if there.as_deref() == bytes => Ok(()),
+            Some(bytes) => write(&to, bytes),
+            None => {
+                std::fs::remove_file(&to).and_then(|()| store::sync_folder(&self.folder)).map_err(mirror(&to))
+            }
+        }
+    }
+
     fn copy_journal(&self, lines: &[u8]) -> Result<(), Unfit> {
         let to = self.folder.join(JOURNAL);
         match bytes_of(&to).map_err(mirror(&to))? {
@@ -345,34 +374,4 @@ impl Copyist {
             _ => Ok(write(&to, lines)?),
         }
     }
-}
-
-/// Every file of which a record tells with its length and BLAKE3, wherever in it that stands.
-fn files_of(record: &Value) -> BTreeMap<String, (u64, String)> {
-    let mut found = BTreeMap::new();
-    match record {
-        Value::Object(fields) => {
-            let text = |key: &str| fields.get(key).and_then(Value::as_str);
-            let bytes = fields.get("bytes").and_then(Value::as_u64);
-            if let (Some(file), Some(bytes), Some(digest)) = (text("file"), bytes, text("blake3")) {
-                found.insert(file.to_owned(), (bytes, digest.to_owned()));
-            }
-            found.extend(fields.values().flat_map(files_of));
-        }
-        Value::Array(items) => found.extend(items.iter().flat_map(files_of)),
-        _ => {}
-    }
-    found
-}
-
-/// The journal's whole lines; one that is being written does not count.
-fn whole_lines(path: &Path) -> Result<Vec<u8>, CopyError> {
-    let mut bytes = bytes_of(path).map_err(source(path))?.unwrap_or_default();
-    bytes.truncate(bytes.iter().rposition(|&b| b == b'\n').map_or(0, |end| end + 1));
-    Ok(bytes)
-}
-
-fn entries(lines: &[u8]) -> Vec<Entry> {
-    // What cannot be read says nothing of files; `verify` tells of it.
-    lines.split(|&b| b == b'\n').filter_map(|line| serde_json::from_slice(line).ok()).collect()
 }

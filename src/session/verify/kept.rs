@@ -1,6 +1,6 @@
 //! Checks what is kept beside the pairs: results of calibrations, the scene and the files it was imported from.
 
-use super::{Check, Damage, start};
+use super::{Check, Damage, differs};
 use crate::session::kept::Kept;
 use crate::session::store;
 use serde::Deserialize;
@@ -75,8 +75,7 @@ impl Check<'_> {
             return;
         }
         let stored = expected.digests.iter().next_back().map(String::as_str).unwrap_or_default();
-        let why = format!("its BLAKE3 is {}..., and {}... was stored", start(&digest), start(stored));
-        self.tell(&file, Damage::Altered, why);
+        self.tell(&file, Damage::Altered, differs(&digest, stored));
     }
 
     /// The files of a folder, from the session's; folders inside it are not its own.

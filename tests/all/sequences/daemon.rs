@@ -102,6 +102,7 @@ fn what_cannot_be_is_refused_with_its_code() {
         json!({ "positions": 0, "between": { "kind": "hook" } }),
         json!({ "positions": 3, "between": { "kind": "countdown", "seconds": -1 } }),
         json!({ "positions": 3, "between": { "kind": "hook" }, "interval_s": 1e9 }),
+        json!({ "positions": 3, "between": { "kind": "hook" }, "off_frames": 17 }),
     ] {
         assert_eq!(code("PUT", here, Some(wrong.clone())), (400, "value_invalid".into()), "{wrong}");
     }
@@ -109,11 +110,16 @@ fn what_cannot_be_is_refused_with_its_code() {
         json!({ "positions": 3, "between": { "kind": "trigger_file", "path": "/etc/passwd" } }),
         json!({ "positions": 3, "between": { "kind": "command", "run": "reboot" } }),
         json!({ "positions": 3 }),
+        json!({ "positions": 3, "between": { "kind": "hook" }, "order": "on_on" }),
     ] {
         assert_eq!(code("PUT", here, Some(wrong.clone())), (422, "body_invalid".into()), "{wrong}");
     }
     assert_eq!(daemon.ask("PUT", here, Some(hook(3))).0, 201);
-    assert_eq!(daemon.ask("PUT", here, Some(hook(3))).0, 200);
+    let (status, kept) = daemon.ask("PUT", here, Some(hook(3)));
+    assert_eq!(
+        (status, &kept["plan"]["order"], &kept["plan"]["off_frames"]),
+        (200, &json!("off_on"), &json!(1))
+    );
     assert_eq!(code("POST", &format!("{here}/next"), None), (409, "sequence_state".into()));
     daemon.wish("start");
     let elsewhere = Some(json!({ "position": 2 }));

@@ -1,6 +1,6 @@
 //! The desk conducts: goes, pauses, rejected pairs, others who shoot in between.
 
-use crate::fake_rig::{Room, Trouble};
+use crate::fake_rig::Room;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -11,9 +11,7 @@ use unlit::capture::{
 };
 use unlit::jobs::{Job, WorkError};
 use unlit::pair::Limits;
-use unlit::session::{
-    Between, PositionRecord, SEQUENCE_SCHEMA, SequencePlan, SequenceRecord, Session, Stage, UnderWay,
-};
+use unlit::session::{Between, SequencePlan, SequenceRecord, Session, Stage, UnderWay};
 
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -38,18 +36,14 @@ fn desk_in(folder: &Path, rig: RigSource) -> Desk {
     Desk::open(engine, events, folder, no_works(), None).unwrap()
 }
 
-fn plan(positions: u32, between: Between) -> SequencePlan {
-    SequencePlan { positions, between, interval_s: 0.0, retries: 0, instructions: vec![] }
-}
-
 /// A desk with the session "vase" and a sequence.
-struct Studio {
+pub(super) struct Studio {
     folder: TempDir,
-    desk: Desk,
+    pub(super) desk: Desk,
 }
 
 impl Studio {
-    fn open(rig: RigSource, plan: SequencePlan) -> Self {
+    pub(super) fn open(rig: RigSource, plan: SequencePlan) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let desk = desk_in(folder.path(), rig);
         desk.enter("vase").unwrap();
@@ -58,7 +52,7 @@ impl Studio {
         Self { folder, desk }
     }
 
-    fn wish(&self, event: SequenceEvent) -> SequenceView {
+    pub(super) fn wish(&self, event: SequenceEvent) -> SequenceView {
         self.desk.direct_sequence("vase", event.clone(), None).unwrap_or_else(|e| panic!("{event:?}: {e}"))
     }
 
@@ -69,12 +63,12 @@ impl Studio {
         }
     }
 
-    fn view(&self) -> SequenceView {
+    pub(super) fn view(&self) -> SequenceView {
         self.desk.sequence("vase").unwrap()
     }
 
     /// Waits until the sequence stands so, and gives it.
-    fn until(&self, state: SequenceState, position: Option<u32>) -> SequenceView {
+    pub(super) fn until(&self, state: SequenceState, position: Option<u32>) -> SequenceView {
         let end = Instant::now() + PATIENCE;
         loop {
             let view = self.view();
@@ -86,7 +80,7 @@ impl Studio {
         }
     }
 
-    fn ended(&self, job: &Job) -> Job {
+    pub(super) fn ended(&self, job: &Job) -> Job {
         let end = Instant::now() + PATIENCE;
         loop {
             let job = self.desk.queue().get(job.id).unwrap();
@@ -98,14 +92,14 @@ impl Studio {
         }
     }
 
-    fn pairs(view: &SequenceView) -> Vec<Vec<u32>> {
+    pub(super) fn pairs(view: &SequenceView) -> Vec<Vec<u32>> {
         view.positions.iter().map(|p| p.pairs.clone()).collect()
     }
 }
 
 #[test]
 fn a_script_walks_through_while_somebody_else_shoots_too() {
-    let studio = Studio::open(Room::default().rig(), plan(3, Between::Hook));
+    let studio = Studio::open(Room::default().rig(), SequencePlan::new(3, Between::Hook));
     let (_, mut heard) = studio.desk.events().listen();
     assert!(matches!(studio.refused(SequenceEvent::Next, None), SequenceError::Refused { .. }));
     studio.wish(SequenceEvent::Start);
@@ -140,7 +134,7 @@ fn a_script_walks_through_while_somebody_else_shoots_too() {
 #[test]
 fn a_pause_lets_the_pair_end_and_a_cancel_stops_it() {
     let room = Room::default();
-    let studio = Studio::open(room.rig_with(|| FlashKind::Manual), plan(3, Between::Prompt));
+    let studio = Studio::open(room.rig_with(|| FlashKind::Manual), SequencePlan::new(3, Between::Prompt));
     let (_, mut heard) = studio.desk.events().listen();
     let mut confirm = |flash_on| {
         while heard.blocking_recv().unwrap().topic != Topic::Prompt {}
@@ -168,7 +162,7 @@ fn a_pause_lets_the_pair_end_and_a_cancel_stops_it() {
 
 #[test]
 fn the_trigger_file_is_taken_once_and_vanishes_when_its_position_is_done() {
-    let studio = Studio::open(Room::default().rig(), plan(2, Between::TriggerFile));
+    let studio = Studio::open(Room::default().rig(), SequencePlan::new(2, Between::TriggerFile));
     let file = studio.folder.path().join("vase/trigger");
     std::fs::write(&file, "left over").unwrap();
     studio.wish(SequenceEvent::Start);
@@ -188,7 +182,7 @@ fn the_trigger_file_is_taken_once_and_vanishes_when_its_position_is_done() {
 
 #[test]
 fn a_trigger_that_cannot_be_removed_pauses_instead_of_shooting_for_ever() {
-    let studio = Studio::open(Room::default().rig(), plan(3, Between::TriggerFile));
+    let studio = Studio::open(Room::default().rig(), SequencePlan::new(3, Between::TriggerFile));
     studio.wish(SequenceEvent::Start);
     let file = studio.folder.path().join("vase/trigger");
     std::fs::create_dir(&file).unwrap();
@@ -202,7 +196,7 @@ fn a_trigger_that_cannot_be_removed_pauses_instead_of_shooting_for_ever() {
 
 #[test]
 fn a_countdown_takes_the_pairs_by_itself_and_keeps_the_interval() {
-    let order = SequencePlan { interval_s: 0.5, ..plan(3, Between::Countdown { seconds: 0.1 }) };
+    let order = SequencePlan { interval_s: 0.5, ..SequencePlan::new(3, Between::Countdown { seconds: 0.1 }) };
     let studio = Studio::open(Room::default().rig(), order);
     let begun = Instant::now();
     studio.wish(SequenceEvent::Start);
@@ -211,35 +205,9 @@ fn a_countdown_takes_the_pairs_by_itself_and_keeps_the_interval() {
 }
 
 #[test]
-fn a_rejected_pair_asks_and_is_taken_again() {
-    let room = Room::with(Trouble::Misfire);
-    let studio = Studio::open(room.rig(), SequencePlan { retries: 1, ..plan(2, Between::Hook) });
-    studio.wish(SequenceEvent::Start);
-    studio.wish(SequenceEvent::Next);
-    let view = studio.until(SequenceState::Asking, Some(1));
-    assert!(view.words.starts_with("Position 1 of 2: Pair 1 was rejected: "), "{}", view.words);
-    room.heal();
-    studio.wish(SequenceEvent::Retry);
-    let view = studio.until(SequenceState::Waiting, Some(2));
-    assert_eq!((&view.positions[0].pairs, view.positions[0].accepted), (&vec![1], Some(1)));
-    let attempts = studio.desk.attempts("vase").unwrap()[&1].len();
-    assert_eq!(attempts, 3, "each attempt is kept, under the number by which its camera is matched");
-
-    // A pair that failed is no pair: it asks too, and the position may be left out.
-    room.set(Trouble::Refuses(0));
-    studio.wish(SequenceEvent::Next);
-    let view = studio.until(SequenceState::Asking, Some(2));
-    assert!(view.words.contains("No pair was taken: ") && view.positions[1].pairs.is_empty(), "{view:?}");
-    let view = studio.wish(SequenceEvent::Skip);
-    assert_eq!(
-        (view.state, view.words.as_str()),
-        (SequenceState::Done, "1 of 2 positions is done; skipped: 2.")
-    );
-}
-
-#[test]
 fn a_pair_that_somebody_cancels_before_its_turn_asks() {
-    let studio = Studio::open(Room::default().rig_with(|| FlashKind::Manual), plan(2, Between::Hook));
+    let studio =
+        Studio::open(Room::default().rig_with(|| FlashKind::Manual), SequencePlan::new(2, Between::Hook));
     // Another's pair waits for the operator and holds the rig.
     let other = studio.desk.take_pair(Some("vase"), PairWish::default()).unwrap();
     studio.wish(SequenceEvent::Start);
@@ -251,13 +219,15 @@ fn a_pair_that_somebody_cancels_before_its_turn_asks() {
     assert!(view.words.contains("The pair was cancelled."), "{}", view.words);
     studio.desk.queue().cancel(other.id).unwrap();
     studio.ended(&other);
+    let refused = studio.desk.retry(own.id).unwrap_err().to_string();
+    assert!(refused.contains("position 1 of the sequence of vase; tell the sequence `retry`"), "{refused}");
 }
 
 #[test]
 fn a_desk_that_is_opened_anew_waits_to_be_asked_and_goes_on_at_the_first_missing_position() {
     let room = Room::default();
     let Studio { folder, desk } = {
-        let studio = Studio::open(room.rig(), plan(3, Between::Countdown { seconds: 0.0 }));
+        let studio = Studio::open(room.rig(), SequencePlan::new(3, Between::Countdown { seconds: 0.0 }));
         studio.wish(SequenceEvent::Start);
         studio.until(SequenceState::Done, None);
         studio
@@ -297,7 +267,7 @@ fn desk_anew(folder: &TempDir, room: &Room) -> Desk {
 
 #[test]
 fn a_plan_changes_how_a_paused_sequence_goes_on_and_removing_it_begins_anew() {
-    let studio = Studio::open(Room::default().rig(), plan(2, Between::Hook));
+    let studio = Studio::open(Room::default().rig(), SequencePlan::new(2, Between::Hook));
     let desk = &studio.desk;
     studio.wish(SequenceEvent::Start);
     studio.wish(SequenceEvent::Next);
@@ -306,23 +276,26 @@ fn a_plan_changes_how_a_paused_sequence_goes_on_and_removing_it_begins_anew() {
         Err(DeskError::Sequence(error)) => error,
         other => panic!("{other:?}"),
     };
-    assert!(matches!(refused(plan(2, Between::Prompt)), SequenceError::Refused { .. }));
+    assert!(matches!(refused(SequencePlan::new(2, Between::Prompt)), SequenceError::Refused { .. }));
     studio.wish(SequenceEvent::Pause);
-    assert!(matches!(refused(plan(3, Between::Prompt)), SequenceError::Unfinished { done: 1, positions: 2 }));
-    assert!(matches!(refused(plan(0, Between::Prompt)), SequenceError::BadPlan(_)));
-    let (view, made) = desk.plan_sequence("vase", plan(2, Between::Prompt)).unwrap();
+    assert!(matches!(
+        refused(SequencePlan::new(3, Between::Prompt)),
+        SequenceError::Unfinished { done: 1, positions: 2 }
+    ));
+    assert!(matches!(refused(SequencePlan::new(0, Between::Prompt)), SequenceError::BadPlan(_)));
+    let (view, made) = desk.plan_sequence("vase", SequencePlan::new(2, Between::Prompt)).unwrap();
     assert_eq!((made, view.done, view.plan.between), (false, 1, Between::Prompt));
     desk.remove_sequence("vase").unwrap();
     assert!(matches!(desk.sequence("vase"), Err(DeskError::Sequence(SequenceError::NotPlanned(_)))));
     assert!(!studio.folder.path().join("vase/sequence.json").exists());
-    let (view, made) = desk.plan_sequence("vase", plan(3, Between::Hook)).unwrap();
+    let (view, made) = desk.plan_sequence("vase", SequencePlan::new(3, Between::Hook)).unwrap();
     assert_eq!((made, view.done), (true, 0));
 }
 
 #[test]
 fn nothing_is_shot_that_could_not_be_written_down_before() {
     let room = Room::default();
-    let studio = Studio::open(room.rig(), plan(2, Between::Hook));
+    let studio = Studio::open(room.rig(), SequencePlan::new(2, Between::Hook));
     studio.wish(SequenceEvent::Start);
     // A folder in the file's place refuses every write, whoever we are.
     let file = studio.folder.path().join("vase/sequence.json");
@@ -347,11 +320,9 @@ fn a_pair_that_was_not_stored_leaves_its_position_even_if_another_gets_its_numbe
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path().join("vase");
     let record = SequenceRecord {
-        schema: SEQUENCE_SCHEMA,
-        plan: plan(2, Between::Hook),
         stage: Stage::Begun,
-        positions: vec![PositionRecord::default(); 2],
         under_way: Some(UnderWay { position: 1, pair: 1 }),
+        ..SequenceRecord::planned(SequencePlan::new(2, Between::Hook))
     };
     // Killed in the middle of position 1's pair.
     Session::create(&place, "vase").unwrap().set_sequence(&record).unwrap();

@@ -3,4 +3,5 @@
 
 mod daemon;
 mod desk;
+mod pairs;
 mod terminal;

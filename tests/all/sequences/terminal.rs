@@ -42,8 +42,11 @@ fn the_return_key_takes_each_pair_and_the_same_command_goes_on_after_an_interrup
     hear(&mut said, "Position 1 of 2: get ready [return]");
     child.stdin.as_mut().unwrap().write_all(b"\n").unwrap();
     hear(&mut said, "Position 2 of 2: move on [return]");
+    // The end of input would stop it too.
+    let keyboard = child.stdin.take();
     interrupt(&child);
     let output = child.wait_with_output().unwrap();
+    drop(keyboard);
     let complaint = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(1), "{complaint}");
     assert!(complaint.contains("stopped at position 2 of 2; the same command goes on there"), "{complaint}");
@@ -52,7 +55,17 @@ fn the_return_key_takes_each_pair_and_the_same_command_goes_on_after_an_interrup
     let mut said = BufReader::new(child.stdout.take().unwrap());
     let all = hear(&mut said, "All 2 positions are done.");
     assert!(!all.contains("Position 1"), "{all}");
+    hear(&mut said, "Pairs: 2 accepted, 0 rejected; positions skipped: 0.");
     assert!(child.wait().unwrap().success());
+    // What is done is not begun anew unless that is asked for.
+    let run = shoot(folder.path(), "countdown:0", 2).output().unwrap();
+    let told = String::from_utf8_lossy(&run.stdout).into_owned();
+    assert_eq!(run.status.code(), Some(0), "{told}");
+    assert!(told.contains("All 2 positions are done.") && told.contains("--anew begins another"), "{told}");
+    let run = shoot(folder.path(), "countdown:0", 1).output().unwrap();
+    let complaint = String::from_utf8_lossy(&run.stderr).into_owned();
+    assert_eq!(run.status.code(), Some(1), "{complaint}");
+    assert!(complaint.contains("All 2 positions are done. Add --anew"), "{complaint}");
     let session = Session::open(&folder.path().join("walk")).unwrap();
     let record = session.sequence().unwrap().unwrap();
     let pairs: Vec<_> = record.positions.iter().map(|p| p.pairs.clone()).collect();
