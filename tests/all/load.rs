@@ -5,7 +5,7 @@
 //! 60 s with and 60 s without in turns, and holds the pairs to their time; it means something on a machine that does
 //! nothing else, in the release profile.
 
-use crate::raw_http::Daemon;
+use crate::daemon::{Daemon, PATIENCE};
 use serde_json::{Value, json};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -17,8 +17,6 @@ const CLIENTS: u32 = 8;
 const ORIGINAL_EVERY: u32 = 40;
 /// A pair may take so much longer than the longest without load.
 const SLOWER: f64 = 1.10;
-/// A pair takes no longer than this, even in a debug build on a loaded machine.
-const PATIENCE: Duration = Duration::from_secs(300);
 
 fn agent() -> ureq::Agent {
     ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(PATIENCE)).build().into()
@@ -131,7 +129,7 @@ fn pairs_are_shot_while_two_hundred_requests_a_second_are_answered() {
     let long = std::env::var_os("UNLIT_SOAK").is_some();
     let (rounds, block) = if long { (4, Duration::from_secs(15)) } else { (1, Duration::from_secs(2)) };
     let folder = tempfile::tempdir().unwrap();
-    let daemon = Daemon::start(folder.path(), &["--studio"]);
+    let daemon = Daemon::start(folder.path());
     let root = format!("http://127.0.0.1:{}/api/v1", daemon.port);
     let made = agent().post(format!("{root}/sessions")).send_json(json!({ "name": "load" })).unwrap();
     assert_eq!(made.status(), 201);

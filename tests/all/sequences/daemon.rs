@@ -1,49 +1,28 @@
 //! The daemon over HTTP: codes, a turntable's script out of the documentation, and a kill in the middle.
 
+use crate::daemon::{Client, Daemon, PATIENCE};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::time::{Duration, Instant};
 use unlit::session::Session;
 
-const PATIENCE: Duration = Duration::from_secs(300);
-
-/// A daemon with a simulated studio; killed at once when dropped.
-struct Daemon {
-    process: Child,
-    url: String,
+/// A daemon, and a client that walks round a vase.
+struct Walk {
+    daemon: Daemon,
+    client: Client,
 }
 
-impl Daemon {
+impl Walk {
     fn start(folder: &Path) -> Self {
-        let mut process = Command::new(env!("CARGO_BIN_EXE_unlit"))
-            .args(["serve", "--studio", "--listen", "127.0.0.1:0", "--sessions"])
-            .arg(folder.join("sessions"))
-            .env("HOME", folder)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let at = line.find("http://").unwrap_or_else(|| panic!("no address in {line:?}"));
-        let url = line[at..].split_whitespace().next().unwrap().trim_end_matches('/').to_owned();
-        Self { process, url }
+        let daemon = Daemon::start(folder);
+        let client = daemon.client();
+        Self { daemon, client }
     }
 
-    /// Status and body of an answer.
     fn ask(&self, method: &str, path: &str, body: Option<Value>) -> (u16, Value) {
-        let agent: ureq::Agent = ureq::Agent::config_builder().http_status_as_error(false).build().into();
-        let request = ureq::http::Request::builder().method(method).uri(format!("{}/api/v1{path}", self.url));
-        let mut answer = match body {
-            Some(body) => agent
-                .run(request.header("Content-Type", "application/json").body(body.to_string()).unwrap())
-                .unwrap(),
-            // An empty body has a type too, or else it could be anybody's.
-            None => agent.run(request.header("Content-Type", "application/json").body("").unwrap()).unwrap(),
-        };
-        let text = answer.body_mut().read_to_string().unwrap();
-        (answer.status().as_u16(), serde_json::from_str(&text).unwrap_or(Value::String(text)))
+        self.client.ask(method, path, body).unwrap()
     }
 
     fn good(&self, method: &str, path: &str, body: Option<Value>) -> Value {
@@ -73,13 +52,6 @@ impl Daemon {
     }
 }
 
-impl Drop for Daemon {
-    fn drop(&mut self) {
-        self.process.kill().ok();
-        self.process.wait().ok();
-    }
-}
-
 fn hook(positions: u32) -> Value {
     json!({ "positions": positions, "between": { "kind": "hook" } })
 }
@@ -87,14 +59,14 @@ fn hook(positions: u32) -> Value {
 #[test]
 fn what_cannot_be_is_refused_with_its_code() {
     let folder = tempfile::tempdir().unwrap();
-    let daemon = Daemon::start(folder.path());
+    let walk = Walk::start(folder.path());
     let code = |method: &str, path: &str, body: Option<Value>| {
-        let (status, problem) = daemon.ask(method, path, body);
+        let (status, problem) = walk.ask(method, path, body);
         (status, problem["code"].as_str().unwrap_or("").to_owned())
     };
     let here = "/sessions/vase/sequence";
     assert_eq!(code("GET", here, None), (404, "session_not_found".into()));
-    daemon.good("POST", "/sessions", Some(json!({ "name": "vase" })));
+    walk.good("POST", "/sessions", Some(json!({ "name": "vase" })));
     assert_eq!(code("GET", here, None), (404, "sequence_not_planned".into()));
     assert_eq!(code("POST", &format!("{here}/start"), None), (404, "sequence_not_planned".into()));
     assert_eq!(code("DELETE", here, None), (404, "sequence_not_planned".into()));
@@ -112,63 +84,63 @@ fn what_cannot_be_is_refused_with_its_code() {
     ] {
         assert_eq!(code("PUT", here, Some(wrong.clone())), (422, "body_invalid".into()), "{wrong}");
     }
-    assert_eq!(daemon.ask("PUT", here, Some(hook(3))).0, 201);
-    assert_eq!(daemon.ask("PUT", here, Some(hook(3))).0, 200);
+    assert_eq!(walk.ask("PUT", here, Some(hook(3))).0, 201);
+    assert_eq!(walk.ask("PUT", here, Some(hook(3))).0, 200);
     assert_eq!(code("POST", &format!("{here}/next"), None), (409, "sequence_state".into()));
-    daemon.wish("start");
+    walk.wish("start");
     let elsewhere = Some(json!({ "position": 2 }));
     assert_eq!(code("POST", &format!("{here}/next"), elsewhere), (409, "sequence_position".into()));
     assert_eq!(code("PUT", here, Some(hook(3))), (409, "sequence_state".into()));
-    assert_eq!(daemon.wish("skip")["position"], 2);
-    daemon.wish("pause");
+    assert_eq!(walk.wish("skip")["position"], 2);
+    walk.wish("pause");
     assert_eq!(code("PUT", here, Some(hook(4))), (409, "sequence_unfinished".into()));
-    let (status, problem) = daemon.ask("POST", &format!("{here}/dance"), None);
+    let (status, problem) = walk.ask("POST", &format!("{here}/dance"), None);
     assert_eq!((status, &problem["code"]), (400, &json!("path_invalid")), "{problem}");
     let nonsense = Some(json!({ "positon": 1 }));
     assert_eq!(code("POST", &format!("{here}/resume"), nonsense), (422, "body_invalid".into()));
-    assert_eq!(daemon.wish("cancel")["state"], "cancelled");
-    assert_eq!(daemon.ask("DELETE", here, None).0, 204);
+    assert_eq!(walk.wish("cancel")["state"], "cancelled");
+    assert_eq!(walk.ask("DELETE", here, None).0, 204);
 }
 
 #[test]
 fn a_killed_daemon_goes_on_at_the_first_missing_position_when_it_is_asked() {
     let folder = tempfile::tempdir().unwrap();
-    let daemon = Daemon::start(folder.path());
-    daemon.good("POST", "/sessions", Some(json!({ "name": "vase" })));
-    daemon.good("PUT", "/sessions/vase/sequence", Some(hook(4)));
-    daemon.wish("start");
-    daemon.wish("next");
-    daemon.until(|now| now["position"] == 2);
-    daemon.wish("next");
+    let walk = Walk::start(folder.path());
+    walk.good("POST", "/sessions", Some(json!({ "name": "vase" })));
+    walk.good("PUT", "/sessions/vase/sequence", Some(hook(4)));
+    walk.wish("start");
+    walk.wish("next");
+    walk.until(|now| now["position"] == 2);
+    walk.wish("next");
     // SIGKILL in the middle of the second position's pair.
-    daemon.until(|now| now["state"] == "shooting");
-    drop(daemon);
+    walk.until(|now| now["state"] == "shooting");
+    drop(walk);
 
-    let daemon = Daemon::start(folder.path());
-    let stream = ureq::get(format!("{}/api/v1/events", daemon.url)).call().unwrap();
+    let walk = Walk::start(folder.path());
+    let stream = ureq::get(format!("{}/api/v1/events", walk.daemon.url)).call().unwrap();
     let mut heard = BufReader::new(stream.into_body().into_reader()).lines();
-    daemon.good("POST", "/sessions", Some(json!({ "name": "vase" })));
+    walk.good("POST", "/sessions", Some(json!({ "name": "vase" })));
     let told = loop {
         if heard.next().unwrap().unwrap() == "event: sequence" {
             break heard.find(|line| line.as_ref().unwrap().starts_with("data: ")).unwrap().unwrap();
         }
     };
     assert!(told.contains("The program was started anew") && told.contains("\"paused\""), "{told}");
-    let now = daemon.sequence();
+    let now = walk.sequence();
     // The pair was stored a moment before the kill, or it is missing.
     let done = u32::try_from(now["done"].as_u64().unwrap()).unwrap();
     assert!((1..=2).contains(&done) && now["position"] == json!(done + 1), "{now}");
-    let (status, problem) = daemon.ask("POST", "/sessions/vase/sequence/next", None);
+    let (status, problem) = walk.ask("POST", "/sessions/vase/sequence/next", None);
     assert_eq!((status, &problem["code"]), (409, &json!("sequence_state")), "it is paused: {problem}");
-    daemon.good("PUT", "/studio/stage", Some(json!({ "stop": done + 1 })));
-    daemon.wish("resume");
+    walk.good("PUT", "/studio/stage", Some(json!({ "stop": done + 1 })));
+    walk.wish("resume");
     for position in done + 1..=4 {
-        daemon.until(|now| now["state"] == "waiting" && now["position"] == position);
-        daemon.wish("next");
+        walk.until(|now| now["state"] == "waiting" && now["position"] == position);
+        walk.wish("next");
     }
-    let now = daemon.until(|now| now["state"] == "done");
+    let now = walk.until(|now| now["state"] == "done");
     assert_eq!(now["done"], 4, "{now}");
-    drop(daemon);
+    drop(walk);
     let session = Session::open(&folder.path().join("sessions/vase")).unwrap();
     let record = session.sequence().unwrap().unwrap();
     let pairs: Vec<u32> = record.positions.iter().flat_map(|p| p.pairs.clone()).collect();
@@ -185,10 +157,10 @@ fn the_turntable_of_the_documentation_turns_until_all_is_done() {
     let (_, script) = page.split_once("```python\n").unwrap();
     let file = folder.path().join("turntable.py");
     std::fs::write(&file, script.split_once("```").unwrap().0).unwrap();
-    let daemon = Daemon::start(folder.path());
-    let output = Command::new("python3").arg(&file).args([&daemon.url, "vase", "2"]).output().unwrap();
+    let walk = Walk::start(folder.path());
+    let output = Command::new("python3").arg(&file).args([&walk.daemon.url, "vase", "2"]).output().unwrap();
     let said = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(said, "turning to 0.0 degrees\nturning to 180.0 degrees\nAll 2 positions are done.\n");
-    assert_eq!(daemon.sequence()["positions"][1]["pairs"], json!([2]));
+    assert_eq!(walk.sequence()["positions"][1]["pairs"], json!([2]));
 }
