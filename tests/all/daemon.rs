@@ -31,7 +31,12 @@ pub(crate) type Answer<T> = Result<T, ureq::Error>;
 impl Daemon {
     /// With its studio. Serves `home/sessions` on a port of its own; `home` marks all its processes.
     pub(crate) fn start(home: &Path) -> Self {
-        Self::launch(home, |command| command.arg("--studio"))
+        Self::start_with(home, &[])
+    }
+
+    /// With its studio and these options.
+    pub(crate) fn start_with(home: &Path, options: &[&str]) -> Self {
+        Self::launch(home, |command| command.arg("--studio").args(options))
     }
 
     /// With the options and the environment that `set` gives it.

@@ -117,7 +117,7 @@ fn a_camera_that_hangs_keeps_nobody_and_a_second_signal_ends_at_once() {
         daemon.signal("TERM");
         if twice {
             // The first is being seen to once the door is shut.
-            while client.get("/status").is_ok() {
+            while client.get("/state").is_err_and(|e| matches!(e, ureq::Error::StatusCode(_))) {
                 assert!(asked.elapsed() < PATIENCE);
                 std::thread::yield_now();
             }
