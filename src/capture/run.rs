@@ -13,6 +13,11 @@ use crate::pair::{Drift, FlashRecord, Limits, Plan, Reason, Settings, Stop, Verd
 use crate::pipeline::pairs;
 use crate::progress::{Cancelled, Progress};
 use serde_json::json;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::Duration;
+
+/// Whoever waits for the disk longer than this is told what he waits for. A pair is stored in half a second.
+const DISK_PATIENCE: Duration = Duration::from_secs(3);
 
 /// Steps of a pair that progress counts beside its frames: arming, judging, storing, the end.
 const STEPS: usize = 4;
@@ -143,7 +148,7 @@ impl<'a> Run<'a> {
             }
             Effect::Store(_) => {
                 self.step("Storing the pair");
-                self.store()?;
+                self.tell_if_slow(Self::store)?;
                 let steps = self.program.slots().len() + STEPS;
                 self.hands.progress.report("Stored", steps, steps);
                 Ok(Some(Event::Stored))
@@ -281,6 +286,33 @@ impl<'a> Run<'a> {
             self.frame(slot)?.seen(photo.map(|p| p.settings).unwrap_or_default(), digest);
         }
         Ok(if self.reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected })
+    }
+
+    /// Does what waits for the disk, and tells if that takes long.
+    fn tell_if_slow<T>(&mut self, work: impl FnOnce(&mut Self) -> T) -> T {
+        let (progress, events) = (self.hands.progress.clone(), self.events.clone());
+        let (done, steps) = (self.done, self.program.slots().len() + STEPS);
+        let (ends, ended) = mpsc::channel::<()>();
+        std::thread::scope(|scope| {
+            let watch = std::thread::Builder::new().name("disk watch".into()).spawn_scoped(scope, move || {
+                if ended.recv_timeout(DISK_PATIENCE) == Err(RecvTimeoutError::Timeout) {
+                    let seconds = DISK_PATIENCE.as_secs();
+                    let stage = format!("Storing the pair: the disk has taken more than {seconds} s");
+                    progress.report(&stage, done, steps);
+                    let words = format!(
+                        "The disk has taken more than {seconds} s to store a pair. The pair is safe once its job is done; \
+                         check the disk's cable or network, or shoot to another disk."
+                    );
+                    events.tell(Topic::Trouble, words, json!({ "code": "disk_slow" }));
+                }
+            });
+            if let Err(error) = watch {
+                tracing::warn!("nobody watches the disk: {error}");
+            }
+            let outcome = work(self);
+            drop(ends);
+            outcome
+        })
     }
 
     fn store(&mut self) -> Result<(), CaptureError> {

@@ -1,6 +1,6 @@
 //! The two scripts of docs/api.md do what the page says: as they stand there, against a daemon in the simulated studio.
 
-use crate::main_job::Daemon;
+use crate::daemon::Daemon;
 use std::path::Path;
 use std::process::Command;
 use unlit::progress::Progress;
@@ -37,7 +37,7 @@ fn the_scripts_of_the_page_shoot_a_session_and_fetch_its_model() {
         assert!(output.status.success(), "{program}: {said}{}", String::from_utf8_lossy(&output.stderr));
         let (document, _, images) = gltf::import(folder.path().join(format!("{session}.glb"))).unwrap();
         assert_eq!((document.meshes().count(), images.len()), (1, 1));
-        let about = daemon.get(&format!("/sessions/{session}"));
+        let about = daemon.client().get(&format!("/sessions/{session}")).unwrap();
         assert_eq!((about["pairs"].as_u64(), about["accepted"].as_u64()), (Some(2), Some(2)), "{about}");
     }
 }

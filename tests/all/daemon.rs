@@ -1,18 +1,21 @@
-//! The real daemon with its simulated studio in a process of its own: started, asked, killed, stopped.
+//! The real daemon in a process of its own, with its simulated studio or without: started, asked, killed, stopped.
 
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 /// How long anything may take before the test gives it up.
-const PATIENCE: Duration = Duration::from_secs(300);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A daemon; killed when dropped.
 pub(crate) struct Daemon {
     process: Child,
-    url: String,
+    pub(crate) url: String,
+    pub(crate) port: u16,
+    /// What it prints after its address.
+    pub(crate) says: BufReader<ChildStdout>,
     home: PathBuf,
 }
 
@@ -26,30 +29,37 @@ pub(crate) struct Client {
 pub(crate) type Answer<T> = Result<T, ureq::Error>;
 
 impl Daemon {
-    /// Serves `home/sessions`; `home` marks all its processes.
+    /// With its studio. Serves `home/sessions` on a port of its own; `home` marks all its processes.
     pub(crate) fn start(home: &Path) -> Self {
         Self::start_with(home, &[])
     }
 
+    /// With its studio and these options.
     pub(crate) fn start_with(home: &Path, options: &[&str]) -> Self {
-        let mut process = Command::new(env!("CARGO_BIN_EXE_unlit"))
-            .args(["serve", "--studio", "--listen", "127.0.0.1:0", "--sessions"])
-            .arg(home.join("sessions"))
-            .args(options)
-            .env("HOME", home)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let at = line.find("http://").unwrap_or_else(|| panic!("no address in {line:?}"));
-        let url = line[at..].split_whitespace().next().unwrap().trim_end_matches('/').to_owned();
-        Self { process, url, home: home.to_owned() }
+        Self::launch(home, |command| command.arg("--studio").args(options))
+    }
+
+    /// With the options and the environment that `set` gives it.
+    pub(crate) fn launch(home: &Path, set: impl FnOnce(&mut Command) -> &mut Command) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_unlit"));
+        command.args(["serve", "--listen", "127.0.0.1:0", "--sessions"]).arg(home.join("sessions"));
+        let mut process = set(&mut command).env("HOME", home).stdout(Stdio::piped()).spawn().unwrap();
+        let mut says = BufReader::new(process.stdout.take().unwrap());
+        let line = hear(&mut says, "http://");
+        let at = line.split_whitespace().find(|word| word.starts_with("http://")).unwrap();
+        let url = at.trim_end_matches('/').to_owned();
+        let port = url.rsplit(':').next().unwrap().parse().unwrap_or_else(|_| panic!("no port in {line:?}"));
+        Self { process, url, port, says, home: home.to_owned() }
     }
 
     pub(crate) fn client(&self) -> Client {
         let agent = ureq::Agent::config_builder().timeout_global(Some(PATIENCE)).build().into();
         Client { url: self.url.clone(), agent }
+    }
+
+    /// Descriptors that it has open.
+    pub(crate) fn descriptors(&self) -> usize {
+        std::fs::read_dir(format!("/proc/{}/fd", self.id())).unwrap().count()
     }
 
     /// `kill -9`; returns when it and all its children are gone.
@@ -139,6 +149,20 @@ impl Client {
         self.agent.post(self.path(path)).send_json(body)?.body_mut().read_json()
     }
 
+    /// The status and the body of any answer, good or bad.
+    pub(crate) fn ask(&self, method: &str, path: &str, body: Option<Value>) -> Answer<(u16, Value)> {
+        // An empty body has a type too, or else it could be anybody's.
+        let request = ureq::http::Request::builder()
+            .method(method)
+            .uri(self.path(path))
+            .header("Content-Type", "application/json")
+            .body(body.map(|body| body.to_string()).unwrap_or_default())?;
+        let config = self.agent.configure_request(request).http_status_as_error(false);
+        let mut answer = self.agent.run(config.build())?;
+        let text = answer.body_mut().read_to_string()?;
+        Ok((answer.status().as_u16(), serde_json::from_str(&text).unwrap_or(Value::String(text))))
+    }
+
     pub(crate) fn stage(&self, order: Value) -> Answer<()> {
         self.agent.put(self.path("/studio/stage")).send_json(order).map(drop)
     }
@@ -199,6 +223,17 @@ impl Client {
         let fit = json!({ "target_reflectance": 0.94, "ring_radii": [0.035, 0.085] });
         let fit = self.post(&format!("/sessions/{session}/calibration/flash"), fit).unwrap();
         self.done(fit);
+    }
+}
+
+/// The next line that holds `part`.
+pub(crate) fn hear(says: &mut impl BufRead, part: &str) -> String {
+    loop {
+        let mut line = String::new();
+        assert!(says.read_line(&mut line).unwrap() > 0, "it ended before it said {part:?}");
+        if line.contains(part) {
+            return line;
+        }
     }
 }
 

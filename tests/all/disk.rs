@@ -12,10 +12,10 @@ use unlit::pair::Settings;
 use unlit::progress::Progress;
 use unlit::session::{Commit, More, NewFrame, NewPair, Session};
 
-const ENOSPC: i32 = 28;
-const EROFS: i32 = 30;
-const EACCES: i32 = 13;
-const EIO: i32 = 5;
+pub(crate) const ENOSPC: i32 = 28;
+pub(crate) const EROFS: i32 = 30;
+pub(crate) const EACCES: i32 = 13;
+pub(crate) const EIO: i32 = 5;
 
 /// The library, compiled once.
 pub(crate) fn faults() -> &'static Path {

@@ -1,11 +1,12 @@
 //! Pairs while others ask: 200 requests a second for status, session and files of the real daemon, and the simulated
 //! studio's pairs timed with and without them.
 //!
-//! `script/test` runs the short form, which says only that all were answered. `UNLIT_SOAK=1` (script/soak) runs the long one,
-//! 60 s with and 60 s without in turns, and holds the pairs to their time; it means something on a machine that does
-//! nothing else, in the release profile.
+//! Both are timed in turns, in short blocks whose order is turned round each time, so that a machine that drifts slows
+//! both alike. `script/test` runs the short form, which says only that all were answered. `UNLIT_SOAK=1` (script/soak)
+//! runs the long one, 60 s with and 60 s without, and holds pairs and answers to their time; it means something on a
+//! machine that does nothing else, in the release profile.
 
-use crate::raw_http::Daemon;
+use crate::daemon::{Daemon, PATIENCE};
 use serde_json::{Value, json};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -15,10 +16,10 @@ const RATE: u32 = 200;
 const CLIENTS: u32 = 8;
 /// Every so many requests, a whole original.
 const ORIGINAL_EVERY: u32 = 40;
-/// A pair may take so much longer than the longest without load.
+/// Under load, median, 95th percentile and longest of the pairs' times may be so many times those without.
 const SLOWER: f64 = 1.10;
-/// A pair takes no longer than this, even in a debug build on a loaded machine.
-const PATIENCE: Duration = Duration::from_secs(300);
+/// Seconds in which half of the answers, and 19 of 20, are there while pairs are shot.
+const ANSWERED: [f64; 2] = [0.020, 0.100];
 
 fn agent() -> ureq::Agent {
     ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(PATIENCE)).build().into()
@@ -106,11 +107,28 @@ fn take_pairs_under_load(root: &str, wanted: &Wanted, time: Duration) -> (Vec<f6
     })
 }
 
-/// Median and largest.
-fn spread(values: &[f64]) -> (f64, f64) {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    (sorted[sorted.len() / 2], sorted[sorted.len() - 1])
+/// Of some times in seconds.
+struct Spread {
+    median: f64,
+    /// 95th percentile.
+    high: f64,
+    longest: f64,
+}
+
+impl Spread {
+    fn of(times: &[f64]) -> Self {
+        let mut sorted = times.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let at = |share: f64| sorted[(share * (sorted.len() - 1) as f64).round() as usize];
+        Self { median: at(0.5), high: at(0.95), longest: at(1.0) }
+    }
+}
+
+impl std::fmt::Display for Spread {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [median, high, longest] = [self.median, self.high, self.longest].map(|s| 1e3 * s);
+        write!(f, "{median:.1} ms (median), {high:.1} ms (95 %), {longest:.1} ms (longest)")
+    }
 }
 
 fn wanted(root: &str, session: &str) -> Wanted {
@@ -129,9 +147,9 @@ fn wanted(root: &str, session: &str) -> Wanted {
 #[test]
 fn pairs_are_shot_while_two_hundred_requests_a_second_are_answered() {
     let long = std::env::var_os("UNLIT_SOAK").is_some();
-    let (rounds, block) = if long { (4, Duration::from_secs(15)) } else { (1, Duration::from_secs(2)) };
+    let (rounds, block) = if long { (20, Duration::from_secs(3)) } else { (2, Duration::from_secs(1)) };
     let folder = tempfile::tempdir().unwrap();
-    let daemon = Daemon::start(folder.path(), &["--studio"]);
+    let daemon = Daemon::start(folder.path());
     let root = format!("http://127.0.0.1:{}/api/v1", daemon.port);
     let made = agent().post(format!("{root}/sessions")).send_json(json!({ "name": "load" })).unwrap();
     assert_eq!(made.status(), 201);
@@ -140,36 +158,42 @@ fn pairs_are_shot_while_two_hundred_requests_a_second_are_answered() {
     let wanted = wanted(&root, "load");
 
     let (mut quiet, mut loaded, mut answers, mut time) = (Vec::new(), Vec::new(), Answers::default(), 0.0);
-    for _ in 0..rounds {
-        quiet.extend(take_pairs(&root, block));
-        let begun = Instant::now();
-        let (pairs, more) = take_pairs_under_load(&root, &wanted, block);
-        time += begun.elapsed().as_secs_f64();
-        loaded.extend(pairs);
-        answers.times.extend(more.times);
-        answers.bytes += more.bytes;
-        answers.bad.extend(more.bad);
+    for round in 0..rounds {
+        for with_load in [round % 2 == 1, round % 2 == 0] {
+            if !with_load {
+                quiet.extend(take_pairs(&root, block));
+                continue;
+            }
+            let begun = Instant::now();
+            let (pairs, more) = take_pairs_under_load(&root, &wanted, block);
+            time += begun.elapsed().as_secs_f64();
+            loaded.extend(pairs);
+            answers.times.extend(more.times);
+            answers.bytes += more.bytes;
+            answers.bad.extend(more.bad);
+        }
     }
-    let ((quiet_median, quiet_most), (loaded_median, loaded_most)) = (spread(&quiet), spread(&loaded));
-    let (median, most) = spread(&answers.times);
+    let (without, with, answered) = (Spread::of(&quiet), Spread::of(&loaded), Spread::of(&answers.times));
     let rate = answers.times.len() as f64 / time;
     println!(
-        "{} pairs without load: {quiet_median:.3} s (median), {quiet_most:.3} s (longest)\n\
-         {} pairs with load: {loaded_median:.3} s (median), {loaded_most:.3} s (longest)\n\
-         {} answers in {time:.1} s, {rate:.0} a second, {:.1} MB: {:.1} ms (median), {:.1} ms (longest)",
+        "{} pairs without load: {without}\n{} pairs with load: {with}\n\
+         {} answers in {time:.1} s, {rate:.0} a second, {:.1} MB: {answered}",
         quiet.len(),
         loaded.len(),
         answers.times.len(),
         answers.bytes as f64 / 1e6,
-        median * 1e3,
-        most * 1e3,
     );
     assert!(answers.bad.is_empty(), "{} were not answered well, {}", answers.bad.len(), answers.bad[0]);
     if long {
         assert!(rate > 0.95 * f64::from(RATE), "the clients asked only {rate:.0} times a second");
-        assert!(
-            loaded_most <= SLOWER * quiet_most,
-            "a pair took {loaded_most:.3} s, {quiet_most:.3} s without load"
-        );
+        for (what, with, without) in [
+            ("median", with.median, without.median),
+            ("95th percentile", with.high, without.high),
+            ("longest", with.longest, without.longest),
+        ] {
+            assert!(with <= SLOWER * without, "{what} of a pair: {with:.3} s, {without:.3} s without load");
+        }
+        let [half, most] = ANSWERED;
+        assert!(answered.median <= half && answered.high <= most, "{answered}");
     }
 }

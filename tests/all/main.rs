@@ -16,6 +16,7 @@ mod crowds;
 mod daemon;
 mod decoders;
 mod disk;
+mod disk_shooting;
 mod evaluate;
 mod events;
 mod experiments;

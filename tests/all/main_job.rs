@@ -1,94 +1,20 @@
 //! The main job over HTTP: the real daemon, libgphoto2, serial driver, firmware core and path-traced studio.
 
+use crate::daemon::Daemon;
 use serde_json::{Value, json};
-use std::io::{BufRead, BufReader};
-use std::path::Path;
-use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::process::Command;
 use unlit::pipeline::evaluate::evaluate;
 use unlit::progress::Progress;
 use unlit::session::Session;
 
-const PATIENCE: Duration = Duration::from_secs(300);
 const PAIRS: usize = 6;
 
-/// The daemon in its own process; killed when dropped.
-pub(crate) struct Daemon {
-    process: Child,
-    pub(crate) url: String,
-}
-
-impl Daemon {
-    pub(crate) fn start(folder: &Path) -> Self {
-        let mut process = Command::new(env!("CARGO_BIN_EXE_unlit"))
-            .args(["serve", "--studio", "--listen", "127.0.0.1:0", "--sessions"])
-            .arg(folder.join("sessions"))
-            .env("HOME", folder)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let at = line.find("http://").unwrap_or_else(|| panic!("no address in {line:?}"));
-        let url = line[at..].split_whitespace().next().unwrap().trim_end_matches('/').to_owned();
-        Self { process, url }
-    }
-
-    fn path(&self, path: &str) -> String {
-        format!("{}/api/v1{path}", self.url)
-    }
-
-    pub(crate) fn get(&self, path: &str) -> Value {
-        ureq::get(self.path(path)).call().unwrap().body_mut().read_json().unwrap()
-    }
-
-    fn post(&self, path: &str, body: Value) -> Value {
-        ureq::post(self.path(path)).send_json(body).unwrap().body_mut().read_json().unwrap()
-    }
-
-    /// The bytes of a file of the session, asked for as its listing says.
-    fn file(&self, name: &str) -> Vec<u8> {
-        let files = self.get("/sessions/job/files");
-        let named = files.as_array().unwrap().iter().find(|file| file["name"] == name);
-        let url = format!("{}{}", self.url, named.unwrap()["url"].as_str().unwrap());
-        ureq::get(url).call().unwrap().into_body().with_config().limit(1 << 28).read_to_vec().unwrap()
-    }
-
-    fn stage(&self, order: Value) {
-        ureq::put(self.path("/studio/stage")).send_json(order).unwrap();
-    }
-
-    /// Waits for a job and gives its result.
-    fn finished(&self, mut job: Value) -> Value {
-        let path = job["url"].as_str().unwrap().trim_start_matches("/api/v1").to_owned();
-        let deadline = Instant::now() + PATIENCE;
-        while ["queued", "running"].contains(&job["state"].as_str().unwrap()) {
-            assert!(Instant::now() < deadline, "{job}");
-            std::thread::sleep(Duration::from_millis(50));
-            job = self.get(&path);
-        }
-        assert_eq!(job["state"], "done", "{job}");
-        job["result"].clone()
-    }
-
-    fn upload_scene(&self, geometry: &Path) -> Value {
-        let form = ureq::unversioned::multipart::Form::new()
-            .file("cameras", geometry.join("cameras.xml"))
-            .unwrap()
-            .file("mesh", geometry.join("object.obj"))
-            .unwrap()
-            .file("mesh", geometry.join("floor.obj"))
-            .unwrap()
-            .text("unit", "m");
-        ureq::post(self.path("/sessions/job/scene")).send(form).unwrap().body_mut().read_json().unwrap()
-    }
-}
-
-impl Drop for Daemon {
-    fn drop(&mut self) {
-        self.process.kill().ok();
-        self.process.wait().ok();
-    }
+/// The bytes of a file of the session, asked for as its listing says.
+fn file(daemon: &Daemon, name: &str) -> Vec<u8> {
+    let files = daemon.client().get("/sessions/job/files").unwrap();
+    let named = files.as_array().unwrap().iter().find(|file| file["name"] == name);
+    let url = format!("{}{}", daemon.url, named.unwrap()["url"].as_str().unwrap());
+    ureq::get(url).call().unwrap().into_body().with_config().limit(1 << 28).read_to_vec().unwrap()
 }
 
 #[test]
@@ -97,40 +23,20 @@ fn pairs_posted_to_the_api_become_a_model_unaided() {
     let studio = folder.path().join("studio");
     unlit::studio::truth::export(&studio, &Progress::silent()).unwrap();
     let daemon = Daemon::start(folder.path());
-    daemon.post("/sessions", json!({ "name": "job" }));
-    daemon.finished(daemon.upload_scene(&studio.join("geometry")));
-    for distance in [0.7, 1.0, 1.4] {
-        daemon.stage(json!({ "card_distance_m": distance }));
-        let shot = daemon.post("/sessions/job/calibration/flash/shots", json!({ "distance_m": distance }));
-        assert_eq!(daemon.finished(shot)["reasons"], json!([]));
-    }
-    let fit = json!({ "target_reflectance": 0.94, "ring_radii": [0.035, 0.085] });
-    daemon.finished(daemon.post("/sessions/job/calibration/flash", fit));
-    daemon.stage(json!({ "stop": 1 }));
+    let client = daemon.client();
+    client.prepare("job", &studio.join("geometry"));
+    client.stage(json!({ "stop": 1 })).unwrap();
 
     for number in 1..=PAIRS {
-        let pair = daemon.finished(daemon.post("/pairs", json!({})));
+        let pair = client.done(client.post("/pairs", json!({})).unwrap());
         assert_eq!((&pair["verdict"], &pair["number"]), (&json!("accepted"), &json!(number)), "{pair}");
     }
-    let deadline = Instant::now() + PATIENCE;
-    let last = loop {
-        let jobs = daemon.get("/jobs");
-        let jobs = jobs.as_array().unwrap();
-        let busy = |job: &Value| ["queued", "running"].contains(&job["state"].as_str().unwrap());
-        if !jobs.iter().any(busy) {
-            break jobs
-                .iter()
-                .find(|j| j["kind"] == "process")
-                .cloned()
-                .expect("no pair started its processing");
-        }
-        assert!(Instant::now() < deadline, "{jobs:?}");
-        std::thread::sleep(Duration::from_millis(100));
-    };
+    let jobs = client.at_rest();
+    let last = jobs.iter().find(|j| j["kind"] == "process").expect("no pair started its processing");
     assert_eq!(last["state"], "done", "{last}");
     assert_eq!(last["result"]["used"].as_array().unwrap().len(), PAIRS, "{last}");
 
-    let glb = daemon.file("model/model.glb");
+    let glb = file(&daemon, "model/model.glb");
     let (document, _, images) = gltf::import_slice(&glb).unwrap();
     assert_eq!((document.meshes().count(), images.len()), (1, 1));
 
@@ -152,20 +58,21 @@ fn pairs_posted_to_the_api_become_a_model_unaided() {
 
 /// Proof, energies and repeatability over HTTP, and in the report.
 fn the_flash_is_told(daemon: &Daemon) {
-    daemon.stage(json!({ "card_distance_m": 1.0 }));
-    let run = daemon.finished(daemon.post("/sessions/job/repeatability", json!({ "shots": 10 })));
+    let client = daemon.client();
+    client.stage(json!({ "card_distance_m": 1.0 })).unwrap();
+    let run = client.done(client.post("/sessions/job/repeatability", json!({ "shots": 10 })).unwrap());
     let figure = |of: &Value, name: &str| of[name].as_f64().unwrap_or_else(|| panic!("no {name} in {of}"));
     println!("{}", run["words"]);
     assert!(figure(&run, "corrected") < 0.5 * figure(&run, "spread"), "{run}");
-    let account = daemon.get("/sessions/job/flash");
+    let account = client.get("/sessions/job/flash").unwrap();
     assert_eq!((&account["pairs"], &account["proven"]), (&json!(PAIRS), &json!(PAIRS)), "{account}");
     assert_eq!(account["reference"]["source"], "calibration");
     assert_eq!(account["repeatability"]["shots"], 10);
     for pulse in account["pulses"].as_array().unwrap() {
         assert!((figure(pulse, "gain") - 1.0).abs() < 0.02 && figure(pulse, "deviation") < 0.002, "{pulse}");
     }
-    daemon.finished(daemon.post("/sessions/job/process", json!({})));
-    let report = String::from_utf8(daemon.file("model/report.html")).unwrap();
+    client.done(client.post("/sessions/job/process", json!({})).unwrap());
+    let report = String::from_utf8(file(daemon, "model/report.html")).unwrap();
     for words in ["Divided by the measured energy", "divided out of the pairs", "Repeatability run"] {
         assert!(report.contains(words), "the report lacks {words:?}");
     }

@@ -1,71 +1,12 @@
-//! The real daemon in its own process, and a client that writes bytes as they come, which no decent HTTP library
-//! would.
+//! A client that writes bytes as they come, which no decent HTTP library would.
 
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
-use std::path::Path;
-use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::Duration;
 
 /// Long enough for a loaded machine.
 pub(crate) const DEADLINE: Duration = Duration::from_secs(30);
-
-/// The daemon itself, in its own process; killed when dropped.
-pub(crate) struct Daemon {
-    pub(crate) process: Child,
-    pub(crate) port: u16,
-    pub(crate) says: BufReader<ChildStdout>,
-}
-
-impl Daemon {
-    /// On a port of its own, with its home and sessions in `folder`.
-    pub(crate) fn start(folder: &Path, options: &[&str]) -> Self {
-        let mut process = Command::new(env!("CARGO_BIN_EXE_unlit"))
-            .args(["serve", "--listen", "127.0.0.1:0", "--sessions"])
-            .arg(folder.join("sessions"))
-            .args(options)
-            .env("HOME", folder)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut says = BufReader::new(process.stdout.take().unwrap());
-        let line = hear(&mut says, "http://");
-        let port = line.split("127.0.0.1:").nth(1).and_then(|rest| rest.split('/').next());
-        let port = port.and_then(|p| p.parse().ok()).unwrap_or_else(|| panic!("no port in {line:?}"));
-        Self { process, port, says }
-    }
-
-    /// Descriptors that it has open.
-    pub(crate) fn descriptors(&self) -> usize {
-        std::fs::read_dir(format!("/proc/{}/fd", self.process.id())).unwrap().count()
-    }
-
-    /// Asks it to end, and tells whether it ended well.
-    pub(crate) fn end(&mut self) -> bool {
-        let id = rustix::process::Pid::from_child(&self.process);
-        rustix::process::kill_process(id, rustix::process::Signal::TERM).unwrap();
-        self.process.wait().unwrap().success()
-    }
-}
-
-impl Drop for Daemon {
-    fn drop(&mut self) {
-        let _gone = self.process.kill();
-        let _reaped = self.process.wait();
-    }
-}
-
-/// The next line that holds `part`.
-pub(crate) fn hear(says: &mut impl BufRead, part: &str) -> String {
-    loop {
-        let mut line = String::new();
-        assert!(says.read_line(&mut line).unwrap() > 0, "it ended before it said {part:?}");
-        if line.contains(part) {
-            return line;
-        }
-    }
-}
 
 /// An answer, as it came.
 #[derive(Debug)]

@@ -1,6 +1,7 @@
 //! The daemon with a token: who shows it, or a cookie, or a ticket, is let in, and nobody else.
 
-use crate::raw_http::{Daemon, ask, hear, listen};
+use crate::daemon::{Daemon, hear};
+use crate::raw_http::{ask, listen};
 use crate::strangers::{EVIL, FORM, JSON, ROUTES};
 use crate::yard::Yard;
 use serde_json::{Value, json};
@@ -128,7 +129,8 @@ fn the_daemon_shows_codes_and_wants_a_token_for_other_addresses() {
     let folder = tempfile::tempdir().unwrap();
     let token = folder.path().join("token");
     let token = token.to_str().unwrap();
-    let mut daemon = Daemon::start(folder.path(), &["--flash", "none", "--token-file", token]);
+    let mut daemon =
+        Daemon::launch(folder.path(), |serve| serve.args(["--flash", "none", "--token-file", token]));
     assert_eq!(ask(daemon.port, "GET /api/v1/devices", &[], "").status, 401);
     assert_eq!(ask(daemon.port, "GET /", &[], "").status, 200);
     let said = hear(&mut daemon.says, "pairing code");

@@ -1,6 +1,8 @@
 /* Makes file operations below one folder fail, from the n-th on. Loaded before libc (ld.so(8), LD_PRELOAD).
  *
  *   UNLIT_TEST_DISK_FOLDER  only files below it
+ *   UNLIT_TEST_DISK_ORDERS  a file; while it is there, every operation takes so many microseconds and fails with this
+ *                           errno (0: does not). It holds both as "DELAY ERRNO"; the rest is not looked at
  *   UNLIT_TEST_DISK_FIRST   number of the first operation that fails, from 1
  *   UNLIT_TEST_DISK_LAST    number of the last one
  *   UNLIT_TEST_DISK_ERRNO   errno
@@ -31,6 +33,17 @@ static long number(const char *name, long otherwise)
     return text ? atol(text) : otherwise;
 }
 
+/* Whether there are orders now. */
+static int ordered(long *delay, int *error)
+{
+    FILE *orders = fopen(getenv("UNLIT_TEST_DISK_ORDERS"), "r");
+    if (!orders)
+        return 0;
+    int read = fscanf(orders, "%ld %d", delay, error);
+    fclose(orders);
+    return read == 2;
+}
+
 /* Whether this operation fails; sets errno. */
 static int fails(const char *what, const char *path, int takes_room)
 {
@@ -39,6 +52,9 @@ static int fails(const char *what, const char *path, int takes_room)
         return 0;
     int error = (int)number("UNLIT_TEST_DISK_ERRNO", EIO);
     long delay = number("UNLIT_TEST_DISK_DELAY", 0);
+    int by_orders = getenv("UNLIT_TEST_DISK_ORDERS") != NULL;
+    if (by_orders && !ordered(&delay, &error))
+        return 0;
     if (delay)
         usleep((useconds_t)delay);
     const char *hangs = getenv("UNLIT_TEST_DISK_HANGS");
@@ -47,7 +63,8 @@ static int fails(const char *what, const char *path, int takes_room)
     if (error == ENOSPC && !takes_room)
         return 0;
     long n = atomic_fetch_add(&count, 1) + 1;
-    if (n < number("UNLIT_TEST_DISK_FIRST", LONG_MAX) || n > number("UNLIT_TEST_DISK_LAST", LONG_MAX))
+    int chosen = n >= number("UNLIT_TEST_DISK_FIRST", LONG_MAX) && n <= number("UNLIT_TEST_DISK_LAST", LONG_MAX);
+    if (by_orders ? !error : !chosen)
         return 0;
     dprintf(2, "disk: %s of %s fails\n", what, path);
     errno = error;
@@ -76,7 +93,6 @@ ssize_t write(int fd, const void *bytes, size_t size)
         static atomic_int halved;
         if (errno == ENOSPC && size > 1 && !atomic_exchange(&halved, 1))
             return real(fd, bytes, size / 2);
-        errno = (int)number("UNLIT_TEST_DISK_ERRNO", EIO);
         return -1;
     }
     return real(fd, bytes, size);

@@ -1,49 +1,28 @@
 //! The daemon over HTTP: codes, a turntable's script out of the documentation, and a kill in the middle.
 
+use crate::daemon::{self, Client, PATIENCE};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::time::{Duration, Instant};
 use unlit::session::Session;
 
-const PATIENCE: Duration = Duration::from_secs(300);
-
-/// A daemon with a simulated studio; killed at once when dropped.
+/// A daemon, and a client that walks round a vase.
 struct Daemon {
-    process: Child,
+    _process: daemon::Daemon,
     url: String,
+    client: Client,
 }
 
 impl Daemon {
     fn start(folder: &Path) -> Self {
-        let mut process = Command::new(env!("CARGO_BIN_EXE_unlit"))
-            .args(["serve", "--studio", "--listen", "127.0.0.1:0", "--sessions"])
-            .arg(folder.join("sessions"))
-            .env("HOME", folder)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let at = line.find("http://").unwrap_or_else(|| panic!("no address in {line:?}"));
-        let url = line[at..].split_whitespace().next().unwrap().trim_end_matches('/').to_owned();
-        Self { process, url }
+        let process = daemon::Daemon::start(folder);
+        Self { url: process.url.clone(), client: process.client(), _process: process }
     }
 
-    /// Status and body of an answer.
     fn ask(&self, method: &str, path: &str, body: Option<Value>) -> (u16, Value) {
-        let agent: ureq::Agent = ureq::Agent::config_builder().http_status_as_error(false).build().into();
-        let request = ureq::http::Request::builder().method(method).uri(format!("{}/api/v1{path}", self.url));
-        let mut answer = match body {
-            Some(body) => agent
-                .run(request.header("Content-Type", "application/json").body(body.to_string()).unwrap())
-                .unwrap(),
-            // An empty body has a type too, or else it could be anybody's.
-            None => agent.run(request.header("Content-Type", "application/json").body("").unwrap()).unwrap(),
-        };
-        let text = answer.body_mut().read_to_string().unwrap();
-        (answer.status().as_u16(), serde_json::from_str(&text).unwrap_or(Value::String(text)))
+        self.client.ask(method, path, body).unwrap()
     }
 
     fn good(&self, method: &str, path: &str, body: Option<Value>) -> Value {
@@ -70,13 +49,6 @@ impl Daemon {
             assert!(Instant::now() < end, "{now}");
             std::thread::sleep(Duration::from_millis(10));
         }
-    }
-}
-
-impl Drop for Daemon {
-    fn drop(&mut self) {
-        self.process.kill().ok();
-        self.process.wait().ok();
     }
 }
 
