@@ -158,7 +158,7 @@ pub(super) struct StateBody {
     pub(super) jobs: Vec<JobBody>,
     /// What the operator is asked at the moment.
     pub(super) prompt: Option<String>,
-    /// Sequences of the sessions that are open.
+    /// Sequences of the sessions that are open, and those that an earlier run of the daemon left under way.
     pub(super) sequences: Vec<SequenceBody>,
     /// The simulated studio; absent with real devices.
     pub(super) studio: Option<StudioBody>,

@@ -22,7 +22,8 @@ pub(super) fn words_on_interrupted(job: &Job) -> String {
 }
 
 impl Desk {
-    /// Looks at every session of the folder: names what was interrupted, and sets off the processing that is due.
+    /// Looks at every session of the folder: names what was interrupted, tells which sequences are under way, and sets off
+    /// the processing that is due.
     /// Takes as long as reading the sessions takes; everything else goes on meanwhile.
     pub fn resume(&self) {
         let names = match self.names() {
@@ -60,6 +61,7 @@ impl Desk {
             Some(session) => (session, true),
             None => (self.reader(name)?, false),
         };
+        self.note_left_sequence(&session);
         let due = self.is_due(&session)?;
         // One that is open has told what was interrupted.
         let interrupted = if was_open { Vec::new() } else { session.recovery().sentences(|_| false) };

@@ -12,13 +12,19 @@ use serde_json::json;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
-/// The sequences that are conducted, by their session's name.
-pub(super) type Sequences = Mutex<BTreeMap<String, Arc<Conductor>>>;
+/// Sequences by their session's name.
+#[derive(Default)]
+pub(super) struct Sequences {
+    /// Of sessions that are open.
+    conducted: Mutex<BTreeMap<String, Arc<Conductor>>>,
+    /// Those that an earlier program left under way, as they were found; nobody has taken them up.
+    left: Mutex<BTreeMap<String, SequenceView>>,
+}
 
 impl Desk {
     fn conductors(&self) -> MutexGuard<'_, BTreeMap<String, Arc<Conductor>>> {
         // Conductors are inserted whole.
-        self.0.sequences.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.sequences.conducted.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn conductor(&self, session: &Arc<Session>) -> Result<Arc<Conductor>, DeskError> {
@@ -31,6 +37,7 @@ impl Desk {
         // From the network no file can be named: it is always the session's own.
         let trigger = session.trigger_file();
         let conductor = Conductor::open(session.clone(), shooter, self.0.events.clone(), trigger)?;
+        self.left().remove(&name);
         // Whoever was faster in the meantime has taken it up.
         Ok(self.conductors().entry(name).or_insert(conductor).clone())
     }
@@ -52,9 +59,29 @@ impl Desk {
         }
     }
 
-    /// The sequences of the sessions that are open; never waits for a disk.
+    fn left(&self) -> MutexGuard<'_, BTreeMap<String, SequenceView>> {
+        // Views are inserted whole.
+        self.0.sequences.left.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Tells of a sequence that an earlier program left under way.
+    pub(super) fn note_left_sequence(&self, session: &Session) {
+        // What cannot be read is told to whoever enters the session.
+        let Ok(view) = read_sequence(session) else { return };
+        if view.state.is_under_way() && !self.conductors().contains_key(&view.session) {
+            self.0.events.tell(Topic::Sequence, view.words.clone(), json!(view));
+            self.left().insert(view.session.clone(), view);
+        }
+    }
+
+    /// The sequences of the sessions that are open, and those that an earlier program left under way, as it left them;
+    /// never waits for a disk.
     pub fn sequences(&self) -> Vec<SequenceView> {
-        self.conductors().values().filter_map(|conductor| conductor.view().ok()).collect()
+        let conducted = self.conductors();
+        let left = self.left();
+        let left =
+            left.iter().filter(|(name, _)| !conducted.contains_key(*name)).map(|(_, view)| view.clone());
+        conducted.values().filter_map(|conductor| conductor.view().ok()).chain(left).collect()
     }
 
     /// How a session's sequence stands. A session that is not open is looked at and kept from nobody.

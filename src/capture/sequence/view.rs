@@ -27,6 +27,13 @@ pub enum SequenceState {
     Cancelled,
 }
 
+impl SequenceState {
+    /// Whether it was begun and is not over.
+    pub fn is_under_way(self) -> bool {
+        !matches!(self, SequenceState::Planned | SequenceState::Done | SequenceState::Cancelled)
+    }
+}
+
 /// One position.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PositionView {

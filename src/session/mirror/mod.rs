@@ -60,7 +60,8 @@ impl MirrorStatus {
             MirrorState::Behind { items } => format!("The mirror {folder} is behind by {items}."),
             MirrorState::InStep => format!("The mirror {folder} is in step."),
             MirrorState::Failing { why } => {
-                format!("The mirror {folder} fails: {why}. Pairs go on being stored; it is tried again.")
+                let stop = if why.ends_with('?') { "" } else { "." };
+                format!("The mirror {folder} fails: {why}{stop} Pairs go on being stored; it is tried again.")
             }
         };
         match &self.warning {

@@ -240,8 +240,17 @@ fn a_desk_that_is_opened_anew_waits_to_be_asked_and_goes_on_at_the_first_missing
     let shots = room.log().len();
     let read = studio.view();
     assert_eq!((read.state, read.position), (SequenceState::Paused, Some(2)), "{read:?}");
+    let listed = || studio.desk.sequences().iter().map(|view| view.state).collect::<Vec<_>>();
+    assert_eq!(listed(), []);
+    studio.desk.resume();
+    assert_eq!(
+        listed(),
+        [SequenceState::Paused],
+        "what is under way is told before anybody enters its session"
+    );
     let (_, mut heard) = studio.desk.events().listen();
     studio.desk.enter("vase").unwrap();
+    assert_eq!(listed(), [SequenceState::Paused]);
     let said = std::iter::from_fn(|| heard.try_recv().ok()).find(|e| e.topic == Topic::Sequence).unwrap();
     assert_eq!(
         said.words,
