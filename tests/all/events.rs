@@ -1,10 +1,11 @@
 //! Two pages and a script at once: the same state, the same events in the same order, nothing lost and nothing twice.
 
-use crate::api::{House, agent};
+use crate::api::{House, PATIENCE, agent};
 use crate::fake_rig::Room;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
+use std::time::Instant;
 use unlit::capture::Topic;
 
 /// One event as it came.
@@ -70,6 +71,15 @@ fn told(house: &House, words: &str) -> String {
     events.mark(events.listen().0)
 }
 
+/// Nothing goes on any more that would change between two questions.
+fn at_rest(house: &House) {
+    let end = Instant::now() + PATIENCE;
+    while !house.desk.queue().list().iter().all(|job| job.state.is_final()) {
+        assert!(Instant::now() < end, "{:?}", house.desk.queue().list());
+        std::thread::yield_now();
+    }
+}
+
 fn number(id: &str) -> u64 {
     id.rsplit_once('.').unwrap().1.parse().unwrap()
 }
@@ -79,10 +89,7 @@ fn two_pages_and_a_script_see_the_same_in_the_same_order() {
     let house = House::open(Room::default().rig());
     house.post("/api/v1/sessions", &json!({ "name": "vase" }));
     house.take_pair();
-    // Nothing goes on any more that would change between two questions.
-    while !house.desk.queue().list().iter().all(|job| job.state.is_final()) {
-        std::thread::yield_now();
-    }
+    at_rest(&house);
     // One that never reads, from before to after everything.
     let mut deaf = TcpStream::connect(("127.0.0.1", house.port)).unwrap();
     write!(deaf, "GET /api/v1/events HTTP/1.1\r\nHost: 127.0.0.1:{}\r\n\r\n", house.port).unwrap();
@@ -101,6 +108,7 @@ fn two_pages_and_a_script_see_the_same_in_the_same_order() {
     house.take_pair();
     house.post("/api/v1/sessions", &json!({ "name": "bowl" }));
     house.take_pair();
+    at_rest(&house);
     let end = told(&house, "the end");
     let (seen, also) = (left.until(&end), right.until(&end));
     assert_eq!(seen, also);
