@@ -292,7 +292,7 @@ fn a_session_survives_kill_9_at_any_moment_and_its_model_is_as_undisturbed() {
     let number = |name: &str| std::env::var(name).ok().and_then(|text| text.parse().ok());
     let soak = std::env::var_os("UNLIT_SOAK").is_some();
     let kills = number("UNLIT_KILLS").unwrap_or(if soak { 300 } else { 6 });
-    let seed = number("UNLIT_SEED").unwrap_or(3);
+    let seed = number("UNLIT_SEED").unwrap_or(11);
     println!("{kills} kills, seed {seed}");
 
     let home = tempfile::tempdir().unwrap();
