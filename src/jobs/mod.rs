@@ -11,6 +11,7 @@
 
 mod book;
 mod claims;
+mod lanes;
 mod ledger;
 mod logged;
 mod queue;

@@ -1,12 +1,12 @@
-//! The queue and its threads, one a lane.
+//! The queue: what is asked for, changed, told of and ended.
 
-use super::book::{Book, Entry, REMEMBERED, Turn, WAITING_LIMIT};
+use super::book::{Book, Entry, REMEMBERED, WAITING_LIMIT};
 use super::claims::{Claim, unix_seconds};
+use super::lanes::work_off;
 use super::logged::logged;
-use super::{Job, JobId, JobState, Lane, Ledger, Load, Order, Problem, Work, WorkError};
+use super::{Job, JobId, JobState, Lane, Ledger, Load, Order};
 use crate::progress::{Progress, Report};
 use crate::session::utc_now;
-use std::panic::AssertUnwindSafe;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -44,25 +44,25 @@ type Notice = Box<dyn Fn(&Job) + Send + Sync>;
 /// Hears of trouble with the ledger, in a sentence.
 type Trouble = Box<dyn Fn(String) + Send + Sync>;
 
-struct Shared {
+pub(super) struct Shared {
     book: Mutex<Book>,
     /// Held while a job is admitted, the ledger's disk included; looking at jobs never waits for it.
     admission: Mutex<()>,
     /// Held while a job is asked for under a key: the next who comes with that key waits for what becomes of it.
     claiming: Mutex<()>,
-    woken: Condvar,
+    pub(super) woken: Condvar,
     notice: Notice,
     ledger: Option<(Ledger, Trouble)>,
 }
 
 impl Shared {
     /// The book is consistent after every statement, so a panic elsewhere leaves it usable.
-    fn book(&self) -> MutexGuard<'_, Book> {
+    pub(super) fn book(&self) -> MutexGuard<'_, Book> {
         self.book.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Changes a job; the ledger, whose disk may be slow, hears of it without the lock.
-    fn change(&self, id: JobId, change: impl FnOnce(&mut Job)) {
+    pub(super) fn change(&self, id: JobId, change: impl FnOnce(&mut Job)) {
         let changed = self.apply(&mut self.book(), id, change);
         if let Some(job) = changed {
             self.write_change(&job);
@@ -379,55 +379,6 @@ impl Drop for Held<'_> {
     fn drop(&mut self) {
         self.0.book().held = false;
         self.0.woken.notify_all();
-    }
-}
-
-/// The life of a lane's thread: takes the oldest waiting job, runs it, writes down how it ended.
-fn work_off(shared: &Shared, lane: Lane) {
-    while let Some((id, progress, work)) = next(shared, lane) {
-        shared.change(id, |job| job.state = JobState::Running);
-        // What the work leaves behind after a panic is its own (files are written aside and renamed).
-        let outcome = std::panic::catch_unwind(AssertUnwindSafe(|| work(&progress)));
-        shared.change(id, |job| match outcome {
-            Ok(Ok(result)) => {
-                job.state = JobState::Done;
-                job.result = Some(result);
-            }
-            Ok(Err(WorkError::Cancelled)) => job.state = JobState::Cancelled,
-            Ok(Err(WorkError::Failed(problem))) => {
-                job.state = JobState::Failed;
-                job.problem = Some(problem);
-            }
-            Err(panic) => {
-                job.state = JobState::Failed;
-                job.problem = Some(Problem { code: "internal".into(), words: words_of(&*panic) });
-            }
-        });
-        shared.woken.notify_all();
-    }
-}
-
-fn words_of(panic: &(dyn std::any::Any + Send)) -> String {
-    let said = panic
-        .downcast_ref::<String>()
-        .map(String::as_str)
-        .or_else(|| panic.downcast_ref::<&str>().copied())
-        .unwrap_or("no message");
-    format!("the program stumbled over its own mistake ({said}); please report it with the log")
-}
-
-/// Waits for a job of `lane`; `None` once the queue is closed.
-fn next(shared: &Shared, lane: Lane) -> Option<(JobId, Progress, Work)> {
-    let mut book = shared.book();
-    loop {
-        if book.closed {
-            return None;
-        }
-        book = match book.next(lane) {
-            Turn::Job(id, progress, work) => return Some((id, progress, work)),
-            Turn::In(wait) => shared.woken.wait_timeout(book, wait).unwrap_or_else(PoisonError::into_inner).0,
-            Turn::Nobody => shared.woken.wait(book).unwrap_or_else(PoisonError::into_inner),
-        };
     }
 }
 

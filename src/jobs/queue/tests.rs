@@ -1,6 +1,7 @@
 //! What the queue promises.
 
 use super::*;
+use crate::jobs::Work;
 use std::sync::mpsc;
 
 fn order(kind: &'static str, coalesce: bool, work: Work) -> Order {
