@@ -11,6 +11,7 @@ use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
 use tokio::net::TcpListener;
 
 #[derive(clap::Args)]
@@ -54,7 +55,8 @@ struct DoorArgs {
 impl DoorArgs {
     fn open(self) -> Result<Door, CliError> {
         let token = self.token_file.as_deref().map(Token::read_or_make).transpose().map_err(CliError::new)?;
-        let mut door = Door::new(self.listen, self.allow_host, token, show_code).map_err(CliError::new)?;
+        let announce = announcer().map_err(CliError::new)?;
+        let mut door = Door::new(self.listen, self.allow_host, token, announce).map_err(CliError::new)?;
         let wanted = door.patience.connections;
         door.patience.connections = http::connections_that_fit(wanted);
         if door.patience.connections < wanted {
@@ -65,6 +67,19 @@ impl DoorArgs {
         }
         Ok(door)
     }
+}
+
+/// Shows pairing codes from a thread of its own: a terminal that is stopped keeps nobody waiting who answers requests.
+fn announcer() -> std::io::Result<impl Fn(&str) + Send + Sync> {
+    let (show, shown) = sync_channel::<String>(4);
+    std::thread::Builder::new()
+        .name("pairing".into())
+        .spawn(move || shown.iter().for_each(|code| show_code(&code)))?;
+    Ok(move |code: &str| {
+        if show.try_send(code.to_owned()).is_err() {
+            tracing::warn!("the terminal takes no more pairing codes");
+        }
+    })
 }
 
 /// To whoever sees this terminal or reads this log.

@@ -5,8 +5,7 @@ use crate::capture::Desk;
 use std::future::Future;
 use std::time::Duration;
 use tokio::signal::unix::{Signal, SignalKind, signal};
-use tokio::sync::watch;
-use tokio::task::JoinHandle;
+use tokio::sync::{oneshot, watch};
 
 /// How long running jobs may take to end after the signal to stop. A release under way may last its exposure.
 const LAST_PATIENCE: Duration = Duration::from_secs(10);
@@ -18,19 +17,25 @@ pub(super) struct Stop {
     desk: Desk,
     asked: watch::Receiver<bool>,
     /// Ends when the work has.
-    closing: JoinHandle<()>,
+    closing: oneshot::Receiver<()>,
 }
 
 impl Stop {
     /// SIGINT and SIGTERM from now on.
     pub(super) fn listen(desk: Desk) -> Result<Self, CliError> {
-        let mut signals = Signals {
-            interrupted: signal(SignalKind::interrupt()).map_err(CliError::new)?,
-            terminated: signal(SignalKind::terminate()).map_err(CliError::new)?,
+        let runtime =
+            tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(CliError::new)?;
+        let mut signals = {
+            let _within = runtime.enter();
+            Signals {
+                interrupted: signal(SignalKind::interrupt()).map_err(CliError::new)?,
+                terminated: signal(SignalKind::terminate()).map_err(CliError::new)?,
+            }
         };
         let (ask, asked) = watch::channel(false);
+        let (over, closing) = oneshot::channel();
         let ending = desk.clone();
-        let closing = tokio::spawn(async move {
+        let end = async move {
             signals.next().await;
             ask.send_replace(true);
             tracing::info!("stopping: running work is finished or given up");
@@ -45,7 +50,14 @@ impl Stop {
                     std::process::exit(1);
                 }
             }
-        });
+            // Nobody waits where the listener has failed meanwhile.
+            let _heard = over.send(());
+        };
+        // Whatever keeps those who answer requests, a signal is heard.
+        std::thread::Builder::new()
+            .name("stop".into())
+            .spawn(move || runtime.block_on(end))
+            .map_err(CliError::new)?;
         Ok(Self { desk, asked, closing })
     }
 

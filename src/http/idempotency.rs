@@ -1,8 +1,9 @@
 //! `Idempotency-Key`: whoever asks for a shot again because no answer came gets the job of the first time.
 //!
-//! A key stands for one wish: path and body. What it stands for is the queue's business ([`crate::jobs::Queue::once`]).
+//! A key stands for one wish: path and body. What it stands for is the queue's business ([`crate::capture::Desk::once`]).
 
 use super::problem::Problem;
+use crate::jobs::Wish;
 use axum::extract::FromRequestParts;
 use axum::http::request::Parts;
 use serde::Serialize;
@@ -12,13 +13,6 @@ const KEY_LIMIT: usize = 255;
 /// The header's name.
 const HEADER: &str = "idempotency-key";
 
-/// A wish that came with a key.
-pub(super) struct Asked {
-    pub(super) key: String,
-    /// Digest of path and body.
-    pub(super) wish: String,
-}
-
 /// The key of a request, if it has one, and the path that it is for.
 pub(super) struct Key {
     key: Option<String>,
@@ -27,10 +21,10 @@ pub(super) struct Key {
 
 impl Key {
     /// The key with what is asked for.
-    pub(super) fn with(self, body: &impl Serialize) -> Result<Option<Asked>, Problem> {
+    pub(super) fn with(self, body: &impl Serialize) -> Result<Option<Wish>, Problem> {
         let Some(key) = self.key else { return Ok(None) };
         let wish = serde_json::to_vec(&(self.path, body)).map_err(Problem::internal)?;
-        Ok(Some(Asked { key, wish: blake3::hash(&wish).to_string() }))
+        Ok(Some(Wish { key, digest: blake3::hash(&wish).to_string() }))
     }
 }
 

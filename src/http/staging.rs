@@ -4,6 +4,7 @@
 use super::problem::Problem;
 use super::routes::is_full;
 use crate::capture::SceneFiles;
+use crate::session::store;
 use axum::extract::Multipart;
 use axum::extract::multipart::Field;
 use axum::http::StatusCode;
@@ -23,7 +24,9 @@ const NAME_LIMIT: usize = 200;
 
 /// Writes the form's files to a folder of their own in `place`, meshes numbered so that equal names do not collide.
 pub(super) async fn stage(mut form: Multipart, place: &Path) -> Result<SceneFiles, Problem> {
-    let folder = tempfile::Builder::new().prefix("unlit-scene-").tempdir_in(place).map_err(refused)?;
+    tokio::fs::create_dir_all(place).await.map_err(refused)?;
+    let folder =
+        tempfile::Builder::new().prefix(store::TEMPORARY_PREFIX).tempdir_in(place).map_err(refused)?;
     let cameras_dir = folder.path().join("cameras");
     tokio::fs::create_dir(&cameras_dir).await.map_err(refused)?;
     let (mut cameras, mut meshes) = (Vec::new(), Vec::new());
@@ -106,7 +109,9 @@ fn invalid(words: impl std::fmt::Display) -> Problem {
 /// The disk does not take it.
 fn refused(error: Error) -> Problem {
     if is_full(&error) {
-        let words = format!("the scene cannot be kept until it is imported: {error}; make room in TMPDIR");
+        let words = format!(
+            "the scene cannot be kept until it is imported: {error}; make room on the disk of the sessions"
+        );
         return Problem::new(StatusCode::CONFLICT, "disk_full", words);
     }
     Problem::internal(error)

@@ -2,7 +2,7 @@
 
 use super::claims::Claims;
 use super::ledger::Past;
-use super::{Job, JobId, JobState, JobsError, Lane, Order, Work};
+use super::{Job, JobId, JobState, JobsError, Lane, Order, Wish, Work};
 use crate::progress::Progress;
 use std::collections::{HashMap, VecDeque};
 use std::time::{Duration, Instant};
@@ -35,8 +35,6 @@ pub(super) struct Book {
     pub(super) last_id: JobId,
     pub(super) entries: VecDeque<Entry>,
     pub(super) closed: bool,
-    /// No job begins meanwhile.
-    pub(super) held: bool,
     /// Keys under which jobs were asked for.
     pub(super) claims: Claims,
     /// Changes of which the ledger has yet to hear.
@@ -87,10 +85,10 @@ impl Book {
     }
 
     /// The job that this key stands for at this moment; an error if it does so for another wish.
-    pub(super) fn claimed(&mut self, key: &str, wish: &str, now: u64) -> Result<Option<Job>, JobsError> {
-        let Some(claim) = self.claims.of(key, now) else { return Ok(None) };
-        if claim.wish != wish {
-            return Err(JobsError::KeyReused(key.to_owned()));
+    pub(super) fn claimed(&mut self, wish: &Wish, now: u64) -> Result<Option<Job>, JobsError> {
+        let Some(claim) = self.claims.of(&wish.key, now) else { return Ok(None) };
+        if claim.wish != wish.digest {
+            return Err(JobsError::KeyReused(wish.key.clone()));
         }
         let id = claim.job;
         Ok(self.entry(id).map(|entry| entry.job.clone()))
@@ -125,9 +123,6 @@ impl Book {
     /// Takes the job of `lane` whose turn it is: at the rig the oldest; elsewhere the oldest of the subject that has
     /// waited longest for a turn, so that no session waits for all of another's work.
     pub(super) fn next(&mut self, lane: Lane) -> Turn {
-        if self.held {
-            return Turn::Nobody;
-        }
         let (mut best, mut soonest): (Option<(u64, JobId)>, Option<Duration>) = (None, None);
         for entry in self.waiting(lane) {
             match self.lacks(entry.rest) {

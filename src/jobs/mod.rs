@@ -147,6 +147,15 @@ impl From<Cancelled> for WorkError {
 /// The work itself; what it returns becomes the job's `result`.
 pub type Work = Box<dyn FnOnce(&Progress) -> Result<serde_json::Value, WorkError> + Send>;
 
+/// What is asked for, and the key by which it is known when it is asked for again.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Wish {
+    /// As whoever asks chose it.
+    pub key: String,
+    /// Digest of what is asked for.
+    pub digest: String,
+}
+
 /// A job to be queued.
 pub struct Order {
     /// Stable name of what it does.
@@ -163,6 +172,8 @@ pub struct Order {
     pub order: Option<serde_json::Value>,
     /// The job that this one does again.
     pub retry_of: Option<JobId>,
+    /// The wish of whoever may ask for it again without knowing whether it was taken.
+    pub wish: Option<Wish>,
     /// Whether somebody is told that it was taken, who must not be told so of a job that a loss of power forgets.
     pub durable: bool,
     /// What to do.

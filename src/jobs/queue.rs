@@ -4,9 +4,10 @@ use super::book::{Book, Entry, REMEMBERED, WAITING_LIMIT};
 use super::claims::{Claim, unix_seconds};
 use super::lanes::work_off;
 use super::logged::logged;
-use super::{Job, JobId, JobState, Lane, Ledger, Load, Order};
+use super::{Job, JobId, JobState, Lane, Ledger, Load, Order, Wish};
 use crate::progress::{Progress, Report};
 use crate::session::utc_now;
+use std::collections::HashSet;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -48,8 +49,9 @@ pub(super) struct Shared {
     book: Mutex<Book>,
     /// Held while a job is admitted, the ledger's disk included; looking at jobs never waits for it.
     admission: Mutex<()>,
-    /// Held while a job is asked for under a key: the next who comes with that key waits for what becomes of it.
-    claiming: Mutex<()>,
+    /// Keys under which somebody asks for a job just now: the next who comes with one waits for what becomes of it.
+    asking: Mutex<HashSet<String>>,
+    asked: Condvar,
     pub(super) woken: Condvar,
     notice: Notice,
     ledger: Option<(Ledger, Trouble)>,
@@ -59,6 +61,11 @@ impl Shared {
     /// The book is consistent after every statement, so a panic elsewhere leaves it usable.
     pub(super) fn book(&self) -> MutexGuard<'_, Book> {
         self.book.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keys are inserted and removed whole.
+    fn asking(&self) -> MutexGuard<'_, HashSet<String>> {
+        self.asking.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Changes a job; the ledger, whose disk may be slow, hears of it without the lock.
@@ -135,7 +142,8 @@ impl Queue {
         let shared = Arc::new(Shared {
             book: Mutex::new(book),
             admission: Mutex::default(),
-            claiming: Mutex::default(),
+            asking: Mutex::default(),
+            asked: Condvar::new(),
             woken: Condvar::new(),
             notice,
             ledger,
@@ -166,6 +174,9 @@ impl Queue {
                     // The one that waits may be one that a loss of power forgets.
                     self.0.write_down(Ledger::sync);
                 }
+                if let Some(wish) = order.wish {
+                    self.claim(wish, like.id);
+                }
                 // It may be due now.
                 self.0.woken.notify_all();
                 return Ok(like);
@@ -194,6 +205,10 @@ impl Queue {
             order: order.order,
         };
         self.0.write_down(|ledger| ledger.enqueued(&job, order.durable));
+        // What begins is known by its key: else a crash between the two would have it done twice.
+        if let Some(wish) = order.wish {
+            self.claim(wish, job.id);
+        }
         let progress = self.progress_of(job.id);
         {
             let mut book = self.0.book();
@@ -211,27 +226,38 @@ impl Queue {
         Ok(job)
     }
 
-    /// The job that `ask` queues, or queued before for the same wish (a digest of it) under the same key; and whether it
-    /// was before, by this program or by one whose ledger this one goes on with. A wish that is refused leaves its key
-    /// free.
+    /// The job that `ask` queues with this wish, or that was queued before for the same wish under the same key; and
+    /// whether it was before, by this program or by one whose ledger this one goes on with. A wish that is refused leaves
+    /// its key free. Who comes with the same key meanwhile waits, and nobody else.
     pub fn once<E: From<JobsError>>(
         &self,
-        key: &str,
-        wish: &str,
-        ask: impl FnOnce() -> Result<Job, E>,
+        wish: Wish,
+        ask: impl FnOnce(Wish) -> Result<Job, E>,
     ) -> Result<(Job, bool), E> {
-        let _alone = self.0.claiming.lock().unwrap_or_else(PoisonError::into_inner);
-        let at = unix_seconds();
-        if let Some(job) = self.0.book().claimed(key, wish, at)? {
+        let _alone = Asking::under(&self.0, &wish.key);
+        if let Some(job) = self.0.book().claimed(&wish, unix_seconds())? {
             return Ok((job, true));
         }
-        // What begins is known by its key: else a crash between the two would have it done twice.
-        let _held = Held::all(&self.0);
-        let job = ask()?;
-        let claim = Claim { key: key.to_owned(), wish: wish.to_owned(), job: job.id, at };
+        Ok((ask(wish)?, false))
+    }
+
+    /// From now on the wish's key stands for this job.
+    fn claim(&self, wish: Wish, job: JobId) {
+        let claim = Claim { key: wish.key, wish: wish.digest, job, at: unix_seconds() };
         self.0.write_down(|ledger| ledger.claimed(&claim));
         self.0.book().claims.keep(claim);
-        Ok((job, false))
+    }
+
+    /// Waits until another job can wait in this lane.
+    pub fn wait_for_room(&self, lane: Lane) -> Result<(), JobsError> {
+        let mut book = self.0.book();
+        while !book.closed {
+            if !book.is_full(lane) {
+                return Ok(());
+            }
+            book = self.0.woken.wait(book).unwrap_or_else(PoisonError::into_inner);
+        }
+        Err(JobsError::Closed)
     }
 
     fn progress_of(&self, id: JobId) -> Progress {
@@ -365,20 +391,26 @@ impl Queue {
     }
 }
 
-/// No job begins as long as this lives.
-struct Held<'a>(&'a Shared);
+/// Nobody else asks under this key as long as this lives.
+struct Asking<'a> {
+    shared: &'a Shared,
+    key: String,
+}
 
-impl<'a> Held<'a> {
-    fn all(shared: &'a Shared) -> Self {
-        shared.book().held = true;
-        Self(shared)
+impl<'a> Asking<'a> {
+    fn under(shared: &'a Shared, key: &str) -> Self {
+        let mut asking = shared.asking();
+        while !asking.insert(key.to_owned()) {
+            asking = shared.asked.wait(asking).unwrap_or_else(PoisonError::into_inner);
+        }
+        Self { shared, key: key.to_owned() }
     }
 }
 
-impl Drop for Held<'_> {
+impl Drop for Asking<'_> {
     fn drop(&mut self) {
-        self.0.book().held = false;
-        self.0.woken.notify_all();
+        self.shared.asking().remove(&self.key);
+        self.shared.asked.notify_all();
     }
 }
 

@@ -336,12 +336,8 @@ fn a_scene_is_taken_for_a_session_that_is_there_and_not_three_at_a_time() {
         .unwrap();
         stream
     };
-    let answered = |mut stream: TcpStream| {
-        let mut text = [0; 4096];
-        let length = stream.read(&mut text).unwrap();
-        String::from_utf8_lossy(&text[..length]).into_owned()
-    };
-    let nowhere = answered(begin("none", ""));
+    let mut nowhere = String::new();
+    begin("none", "").read_to_string(&mut nowhere).unwrap();
     assert!(nowhere.starts_with("HTTP/1.1 404") && nowhere.contains("session_not_found"), "{nowhere}");
 
     let part = "--cut\r\nContent-Disposition: form-data; name=\"unit\"\r\n\r\n";
@@ -349,14 +345,17 @@ fn a_scene_is_taken_for_a_session_that_is_there_and_not_three_at_a_time() {
     let end = std::time::Instant::now() + crate::api::PATIENCE;
     let form = [("Content-Type", "multipart/form-data; boundary=cut")];
     let send = || ask(&house, "POST", "/api/v1/sessions/vase/scene", &form, "--cut--\r\n");
-    // It takes a moment until both are at it.
-    let busy = loop {
-        let reply = send();
-        if reply.status() == 429 {
-            break reply;
-        }
-        assert!(std::time::Instant::now() < end, "a third was let in beside two");
+    // It takes a moment until both are at it: what comes in has a folder.
+    let staged = || {
+        let entries = std::fs::read_dir(house.desk.own_folder()).unwrap().flatten();
+        entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(".tmp-")).count()
     };
+    while staged() < 2 {
+        assert!(std::time::Instant::now() < end, "the two are not let in");
+        std::thread::yield_now();
+    }
+    let busy = send();
+    assert_eq!(busy.status(), 429, "a third was let in beside two");
     assert_eq!(header(&busy, "retry-after"), "5");
     assert_eq!(answer(busy).1["code"], "uploads_busy");
     drop(two);

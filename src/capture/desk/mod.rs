@@ -24,7 +24,7 @@ use super::engine::{AfterPair, Engine};
 use super::events::{Events, Topic};
 use super::place::name_of;
 use super::thumbnail;
-use crate::jobs::{Job, JobId, Ledger, Queue, WorkError};
+use crate::jobs::{Job, JobId, Ledger, Queue, Wish, WorkError};
 use crate::pair::order::Slot;
 use crate::pair::{FrameRecord, PairRecord};
 use crate::pipeline::energy::{self, FlashAccount};
@@ -105,7 +105,16 @@ struct Inner {
 
 /// The desk; clones share it.
 #[derive(Clone)]
-pub struct Desk(Arc<Inner>, Option<JobId>);
+pub struct Desk(Arc<Inner>, For);
+
+/// On what account the next job is queued.
+#[derive(Clone, Default)]
+struct For {
+    /// The job that it does again.
+    retry_of: Option<JobId>,
+    /// The wish that it fulfils, until it is queued.
+    wish: Arc<Mutex<Option<Wish>>>,
+}
 
 impl Desk {
     /// A desk over `engine` whose sessions live in `folder`. Jobs are told of through `events`.
@@ -158,13 +167,29 @@ impl Desk {
                 mirrors: OnceLock::new(),
                 _alone: alone,
             }),
-            None,
+            For::default(),
         ))
     }
 
     /// What happens.
     pub fn events(&self) -> &Events {
         &self.0.events
+    }
+
+    /// The job that `ask` asks this desk for, or asked before by the same wish; and whether it was before.
+    pub fn once(
+        &self,
+        wish: Wish,
+        ask: impl FnOnce(&Desk) -> Result<Job, DeskError>,
+    ) -> Result<(Job, bool), DeskError> {
+        self.0.queue.once(wish, |wish| {
+            ask(&Desk(self.0.clone(), For { wish: Arc::new(Mutex::new(Some(wish))), ..For::default() }))
+        })
+    }
+
+    /// Where this program keeps what is no session's. What has a temporary name there is removed at the next start.
+    pub fn own_folder(&self) -> PathBuf {
+        self.0.folder.join(OWN_FOLDER)
     }
 
     /// All jobs.

@@ -1,7 +1,7 @@
 //! What an earlier program left undone is found when this one starts, and goes on by itself where it can.
 
 use super::works::{Ask, REST};
-use super::{Desk, DeskError};
+use super::{Desk, DeskError, For};
 use crate::capture::events::Topic;
 use crate::jobs::{Job, JobState, JobsError, Lane};
 use crate::session::{Session, SessionError};
@@ -67,6 +67,8 @@ impl Desk {
         let interrupted = if was_open { Vec::new() } else { session.recovery().sentences(|_| false) };
         drop(session);
         if due {
+            // None is open, and kept from others, before its job can wait in the queue.
+            self.0.queue.wait_for_room(Lane::Processing)?;
             // Opening it tells what was interrupted, and puts it right.
             let session = self.lend(name)?;
             let ask = Ask::new("process", Lane::Processing).unasked(REST);
@@ -86,6 +88,7 @@ impl Desk {
     fn retrying_process(&self, name: &str) -> Desk {
         let cut =
             |job: &Job| job.kind == "process" && job.subject == name && job.state == JobState::Interrupted;
-        Desk(self.0.clone(), self.0.queue.list().into_iter().find(cut).map(|job| job.id))
+        let retry_of = self.0.queue.list().into_iter().find(cut).map(|job| job.id);
+        Desk(self.0.clone(), For { retry_of, ..For::default() })
     }
 }

@@ -1,6 +1,6 @@
 //! Doing again what did not come to a good end, from what was asked for then.
 
-use super::{Desk, DeskError};
+use super::{Desk, DeskError, For};
 use crate::jobs::{Job, JobId, JobsError};
 use serde_json::Value;
 
@@ -11,7 +11,7 @@ impl Desk {
     /// Asks again for what a job that failed, was cancelled or interrupted was asked for.
     pub fn retry(&self, id: JobId) -> Result<Job, DeskError> {
         let (job, order) = self.0.queue.to_repeat(id)?;
-        let again = Desk(self.0.clone(), Some(id));
+        let again = Desk(self.0.clone(), For { retry_of: Some(id), ..self.1.clone() });
         let session = job.subject.as_str();
         let refused = |why: String| DeskError::Jobs(JobsError::NotRepeatable(id, why));
         let lost = || refused("what was asked for cannot be read any more; ask for it anew".into());

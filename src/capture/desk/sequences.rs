@@ -2,12 +2,12 @@
 
 use super::retry::POSITION;
 use super::works::Ask;
-use super::{Desk, DeskError, Inner};
+use super::{Desk, DeskError, For, Inner};
 use crate::capture::events::Topic;
 use crate::capture::place::name_of;
 use crate::capture::sequence::{Conductor, SequenceEvent, SequenceView, Shooter, read as read_sequence};
 use crate::jobs::{JobId, Lane};
-use crate::session::{SequencePlan, Session};
+use crate::session::{SequencePlan, Session, SessionError};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -54,9 +54,19 @@ impl Desk {
     /// reads it from the pairs when it is taken up.
     pub(super) fn mend_sequence(&self, session: &Session, pair: u32) {
         let conductor = self.conductors().get(&name_of(session)).cloned();
-        if let Some(conductor) = conductor {
-            conductor.mended(pair);
+        match conductor {
+            Some(conductor) => conductor.mended(pair),
+            // It was told as it was found at the start, and may stand otherwise now.
+            None if self.left().remove(&name_of(session)).is_some() => self.note_left_sequence(session),
+            None => {}
         }
+    }
+
+    /// Has a session's sequence written down as it stands, if a disk refused that before: else it could take somebody else's
+    /// pair for its own after a restart.
+    pub(super) fn keep_sequence(&self, session: &Session) -> Result<(), SessionError> {
+        let conductor = self.conductors().get(&name_of(session)).cloned();
+        conductor.map_or(Ok(()), |conductor| conductor.write_down())
     }
 
     fn left(&self) -> MutexGuard<'_, BTreeMap<String, SequenceView>> {
@@ -86,7 +96,7 @@ impl Desk {
 
     /// How a session's sequence stands. A session that is not open is looked at and kept from nobody.
     pub fn sequence(&self, session: &str) -> Result<SequenceView, DeskError> {
-        match self.open_session(session) {
+        match self.entered_session(session) {
             Some(session) => Ok(self.conductor(&session)?.view()?),
             None => Ok(read_sequence(&*self.reader(session)?)?),
         }
@@ -129,7 +139,7 @@ struct ByJobs {
 
 impl ByJobs {
     fn desk(&self) -> Option<Desk> {
-        self.desk.upgrade().map(|inner| Desk(inner, None))
+        self.desk.upgrade().map(|inner| Desk(inner, For::default()))
     }
 
     fn job(&self) -> MutexGuard<'_, Option<JobId>> {

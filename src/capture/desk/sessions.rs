@@ -12,13 +12,15 @@ use std::collections::{HashMap, HashSet};
 use std::ops::Deref;
 use std::path::PathBuf;
 use std::sync::{Arc, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Longest session name, in characters; some file systems end at 255 bytes.
 pub(super) const NAME_LIMIT: usize = 80;
 
 /// How long the mirror of a session that is let go may take to come into step.
 const MIRROR_PATIENCE: Duration = Duration::from_secs(10);
+/// How long somebody who looks at it may keep it open.
+const READER_PATIENCE: Duration = Duration::from_secs(5);
 
 /// What is open, and what is known of what is not.
 #[derive(Default)]
@@ -111,6 +113,12 @@ impl Desk {
         self.sessions().open.get(name).cloned()
     }
 
+    /// A session that is open now because somebody asked for it.
+    pub(super) fn entered_session(&self, name: &str) -> Option<Arc<Session>> {
+        let sessions = self.sessions();
+        sessions.open.get(name).filter(|_| !sessions.lent.contains(name)).cloned()
+    }
+
     /// Waits until nobody has the turn of this session.
     fn turn<'a>(&'a self, name: &'a str) -> Turn<'a> {
         let mut sessions = self.sessions();
@@ -185,16 +193,32 @@ impl Desk {
 
     /// Closes a session that was lent, once nobody else has it; what it holds is in its mirror before.
     fn let_go(&self, name: &str) {
+        let end = Instant::now() + READER_PATIENCE;
+        while !self.closed_if_idle(name) && Instant::now() < end {
+            // Somebody looks at it; nothing tells when he has seen enough.
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// Closes a lent session that nobody has; says whether there is nothing left to close.
+    fn closed_if_idle(&self, name: &str) -> bool {
         let _turn = self.turn(name);
         let closing = {
             let mut sessions = self.sessions();
-            let idle = sessions.open.get(name).is_some_and(|session| Arc::strong_count(session) == 1);
-            if idle && sessions.lent.remove(name) { sessions.open.remove(name) } else { None }
+            if !sessions.lent.contains(name) {
+                return true;
+            }
+            if sessions.open.get(name).is_some_and(|session| Arc::strong_count(session) > 1) {
+                return false;
+            }
+            sessions.lent.remove(name);
+            sessions.open.remove(name)
         };
         if let Some(session) = closing {
             // How it stands is told as ever.
             let _stand = session.finish_mirror(MIRROR_PATIENCE);
         }
+        true
     }
 
     /// A session that is there, to look at: the one that is open, else one that is not kept open and not kept from

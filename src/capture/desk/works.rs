@@ -3,6 +3,7 @@
 use super::error::{DeskError, JobError};
 use super::{Desk, FlashCard, SceneFiles};
 use crate::capture::card::calibration_shots;
+use crate::capture::error::CaptureError;
 use crate::capture::events::Topic;
 use crate::capture::find::ExposureWish;
 use crate::capture::place::name_of;
@@ -16,7 +17,7 @@ use crate::progress::Progress;
 use crate::session::Session;
 use serde_json::{Value, json};
 use std::ops::Deref;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 /// A whole solve begins unasked once no pair was shot for this long: while the photographer shoots, it would be of
@@ -67,6 +68,7 @@ impl Desk {
         let desk = self.clone();
         self.ask(Ask::new("pair", Lane::Rig).again(json!(wish)), name_of(&session), move |progress| {
             let after_pair = desk.0.after_pair.as_ref();
+            desk.keep_sequence(&session).map_err(CaptureError::from)?;
             let record = desk.0.engine.shoot_pair_as(&session, wish, after_pair, progress)?;
             if record.verdict == Verdict::Accepted && wish.again.is_some() {
                 desk.mend_sequence(&session, record.number);
@@ -294,9 +296,11 @@ impl Desk {
     ) -> Result<Job, DeskError> {
         let Ask { kind, lane, coalesce, rest, order, durable, .. } = ask;
         // What a retried job sets off is no retry.
-        let again = self.1.filter(|id| self.0.queue.get(*id).is_ok_and(|job| job.kind == kind));
+        let retry_of = self.1.retry_of.filter(|id| self.0.queue.get(*id).is_ok_and(|job| job.kind == kind));
+        // Nor is it what was wished for.
+        let wish = self.1.wish.lock().unwrap_or_else(PoisonError::into_inner).take();
         let work: Work = Box::new(move |progress| work(progress).map_err(|JobError(error)| error));
-        let order = Order { kind, subject, lane, coalesce, rest, order, retry_of: again, durable, work };
+        let order = Order { kind, subject, lane, coalesce, rest, order, retry_of, wish, durable, work };
         Ok(self.0.queue.enqueue(order)?)
     }
 }

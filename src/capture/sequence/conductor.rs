@@ -14,7 +14,7 @@ use crate::capture::place::name_of;
 use crate::capture::wish::PairWish;
 use crate::pair::{PairRecord, Verdict};
 use crate::progress::{Cancelled, Progress};
-use crate::session::{SequencePlan, SequenceRecord, Session};
+use crate::session::{SequencePlan, SequenceRecord, Session, SessionError};
 use serde_json::json;
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -221,13 +221,20 @@ impl Conductor {
     }
 
     /// Writes what is to be kept, if that changed.
-    fn keep(&self, inside: &mut Inside, plan: &SequencePlan, state: &State) -> Result<(), SequenceError> {
+    fn keep(&self, inside: &mut Inside, plan: &SequencePlan, state: &State) -> Result<(), SessionError> {
         let record = ledger::record(plan, state);
         if inside.kept.as_ref() != Some(&record) {
             self.session.set_sequence(&record)?;
             inside.kept = Some(record);
         }
         Ok(())
+    }
+
+    /// Writes the state that a disk refused before, if there is one.
+    pub(in crate::capture) fn write_down(&self) -> Result<(), SessionError> {
+        let mut inside = self.inside();
+        let Some((plan, state)) = inside.sequence.clone() else { return Ok(()) };
+        self.keep(&mut inside, &plan, &state)
     }
 
     /// Lets something happen, and what follows from it. A wish that cannot be written down is not taken.
@@ -257,7 +264,7 @@ impl Conductor {
         };
         let mut followers = VecDeque::new();
         match self.keep(inside, &plan, &next) {
-            Err(error) if !is_fact => return Err(error),
+            Err(error) if !is_fact => return Err(error.into()),
             Err(error) if next.paused.is_none() => followers.push_back(Event::Hindered(format!("{error}."))),
             Err(error) => tracing::error!("the sequence could not be written: {error}"),
             Ok(()) => {}
@@ -299,14 +306,16 @@ impl Conductor {
         after_pair: Option<&AfterPair>,
         progress: &Progress,
     ) -> Result<PairRecord, CaptureError> {
-        let outcome = self.announced(engine, after_pair, progress);
-        let event = match &outcome {
-            Ok(record) => Event::Shot {
-                pair: record.number,
-                rejected: (record.verdict == Verdict::Rejected).then(|| words_on(record)),
-            },
-            Err(CaptureError::Cancelled(_)) => Event::Failed("The pair was cancelled.".into()),
-            Err(error) => Event::Failed(format!("No pair was taken: {error}.")),
+        let mut there = None;
+        let outcome = self.announced(engine, after_pair, progress, &mut there);
+        let shot = |record: &PairRecord| Event::Shot {
+            pair: record.number,
+            rejected: (record.verdict == Verdict::Rejected).then(|| words_on(record)),
+        };
+        let event = match (&outcome, &there) {
+            (Ok(record), _) | (Err(_), Some(record)) => shot(record),
+            (Err(CaptureError::Cancelled(_)), None) => Event::Failed("The pair was cancelled.".into()),
+            (Err(error), None) => Event::Failed(format!("No pair was taken: {error}.")),
         };
         let mut inside = self.inside();
         if let Err(error) = self.apply(&mut inside, event) {
@@ -315,12 +324,14 @@ impl Conductor {
         outcome
     }
 
-    /// Nobody else shoots between the announcement and the pair: whoever calls has the rig.
+    /// Nobody else shoots between the announcement and the pair: whoever calls has the rig. `there`: the pair, if it is in the
+    /// session although taking it failed.
     fn announced(
         self: &Arc<Self>,
         engine: &Engine,
         after_pair: Option<&AfterPair>,
         progress: &Progress,
+        there: &mut Option<PairRecord>,
     ) -> Result<PairRecord, CaptureError> {
         let wish = self.pair_wish().ok_or(Cancelled)?;
         let number = wish.again.map_or_else(|| self.session.next_pair_number(), Ok)?;
@@ -329,7 +340,12 @@ impl Conductor {
             Err(_) => return Err(Cancelled.into()),
             Ok(()) => {}
         }
-        engine.shoot_pair_as(&self.session, wish, after_pair, progress)
+        let attempt = || self.session.pair(number).ok();
+        let before = attempt().map(|record| record.attempt);
+        engine.shoot_pair_as(&self.session, wish, after_pair, progress).inspect_err(|_| {
+            // The disk may have failed when the pair had its place already.
+            *there = attempt().filter(|record| Some(record.attempt) != before);
+        })
     }
 
     /// What is asked of the pair that is set off; `None` if none is. The rejected pair of its position is shot again

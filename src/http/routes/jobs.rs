@@ -4,12 +4,12 @@ use super::blocking;
 use crate::capture::{Desk, DeskError};
 use crate::http::App;
 use crate::http::extract::{Path, Query};
-use crate::http::idempotency::{Asked, Key};
+use crate::http::idempotency::Key;
 use crate::http::job_bodies::JobBody;
 use crate::http::links;
 use crate::http::paging::{Page, PageOrder};
 use crate::http::problem::{Problem, ProblemBody};
-use crate::jobs::Job;
+use crate::jobs::{Job, Wish};
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
@@ -41,7 +41,8 @@ pub(super) async fn one(State(app): State<App>, Path(id): Path<u64>) -> Result<J
     responses((status = 200, body = JobBody),
         (status = 409, description = "`job_finished`", body = ProblemBody, content_type = "application/problem+json")))]
 pub(super) async fn cancel(State(app): State<App>, Path(id): Path<u64>) -> Result<Json<JobBody>, Problem> {
-    Ok(Json(app.desk.queue().cancel(id).map_err(DeskError::from)?.into()))
+    // The ledger's disk may be slow, and so may be what the job held.
+    blocking(move || Ok(Json(app.desk.queue().cancel(id)?.into()))).await
 }
 
 /// Asks again for what a job that failed, was cancelled or interrupted was asked for; the new job names the old one
@@ -65,13 +66,13 @@ pub(super) struct Ordered {
 /// Asks the desk for a job; once for each key, where the request has one.
 pub(super) async fn ordered(
     app: &App,
-    asked: Option<Asked>,
+    asked: Option<Wish>,
     order: impl FnOnce(&Desk) -> Result<Job, DeskError> + Send + 'static,
 ) -> Result<Ordered, Problem> {
     let app = app.clone();
     blocking(move || {
         let (job, replayed) = match asked {
-            Some(Asked { key, wish }) => app.desk.queue().once(&key, &wish, || order(&app.desk))?,
+            Some(wish) => app.desk.once(wish, order)?,
             None => (order(&app.desk)?, false),
         };
         Ok(Ordered { job, replayed })

@@ -50,7 +50,7 @@ pub(super) async fn import_scene(
             format!("{} scenes are coming in already; send this one when they are here", staging::AT_ONCE);
         return Err(Problem::new(StatusCode::TOO_MANY_REQUESTS, "uploads_busy", words));
     };
-    let files = staging::stage(form, &std::env::temp_dir()).await?;
+    let files = staging::stage(form, &app.desk.own_folder()).await?;
     Ok(accepted(blocking(move || app.desk.import_scene(&session, files)).await?))
 }
 

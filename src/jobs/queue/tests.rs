@@ -14,6 +14,7 @@ fn order(kind: &'static str, coalesce: bool, work: Work) -> Order {
         order: None,
         retry_of: None,
         durable: false,
+        wish: None,
         work,
     }
 }
@@ -262,17 +263,66 @@ fn quick(queue: &Queue) -> Result<Job, JobsError> {
     queue.enqueue(order("pair", false, Box::new(|_| Ok(7.into()))))
 }
 
+fn wish(key: &str, digest: &str) -> Wish {
+    Wish { key: key.into(), digest: digest.into() }
+}
+
+/// A quick job that is asked for under a key.
+fn keyed(queue: &Queue, key: &str, digest: &str) -> Result<(Job, bool), JobsError> {
+    queue.once(wish(key, digest), |wish| {
+        queue.enqueue(Order { wish: Some(wish), ..order("pair", false, Box::new(|_| Ok(7.into()))) })
+    })
+}
+
+fn asked_twice(_: Wish) -> Result<Job, JobsError> {
+    panic!("asked twice")
+}
+
 #[test]
 fn a_key_stands_for_one_job_and_a_refused_wish_leaves_it_free() {
     let queue = Queue::start(|_| {}).unwrap();
-    let refused = queue.once("a", "wish", || Err::<Job, _>(JobsError::Full));
+    let refused = queue.once(wish("a", "wish"), |_| Err::<Job, _>(JobsError::Full));
     assert_eq!(refused.err(), Some(JobsError::Full));
-    let (first, before) = queue.once("a", "other wish", || quick(&queue)).unwrap();
+    let (first, before) = keyed(&queue, "a", "other wish").unwrap();
     assert!(!before);
-    let again = queue.once("a", "other wish", || -> Result<_, JobsError> { panic!("asked twice") });
+    let again = queue.once(wish("a", "other wish"), asked_twice);
     assert_eq!(again.map(|(job, before)| (job.id, before)), Ok((first.id, true)));
-    assert_eq!(queue.once("a", "wish", || quick(&queue)), Err(JobsError::KeyReused("a".into())));
+    assert_eq!(keyed(&queue, "a", "wish"), Err(JobsError::KeyReused("a".into())));
     assert_eq!(finished(&queue, first.id).result, Some(7.into()));
+}
+
+#[test]
+fn who_takes_long_to_ask_holds_up_only_his_own_key() {
+    let queue = Queue::start(|_| {}).unwrap();
+    let (come, go) = (std::sync::Barrier::new(2), std::sync::Barrier::new(2));
+    std::thread::scope(|scope| {
+        let slow = scope.spawn(|| {
+            queue.once(wish("slow", "wish"), |_| {
+                come.wait();
+                go.wait();
+                quick(&queue)
+            })
+        });
+        come.wait();
+        let other = keyed(&queue, "other", "wish").unwrap().0;
+        assert_eq!(finished(&queue, other.id).state, JobState::Done);
+        go.wait();
+        assert!(slow.join().unwrap().is_ok());
+    });
+}
+
+#[test]
+fn a_key_stands_for_the_like_job_that_waits_already() {
+    let queue = Queue::start(|_| {}).unwrap();
+    let (_, go) = gated(&queue, "process");
+    let process = || order("process", true, Box::new(|_| Ok(7.into())));
+    let waiting = queue.enqueue(process()).unwrap();
+    let (like, _) =
+        queue.once(wish("a", "wish"), |wish| queue.enqueue(Order { wish: Some(wish), ..process() })).unwrap();
+    go.send(()).unwrap();
+    finished(&queue, waiting.id);
+    let again = queue.once(wish("a", "wish"), asked_twice).unwrap();
+    assert_eq!((like.id, again.0.id, again.1), (waiting.id, waiting.id, true));
 }
 
 #[test]
@@ -281,15 +331,15 @@ fn many_at_once_get_the_one_job_and_it_begins_only_when_its_key_is_known() {
     let (queue, asked) = (resumed(folder.path(), &Arc::new(())), std::sync::atomic::AtomicU32::new(0));
     let ledger = folder.path().join("jobs.jsonl");
     let start = std::sync::Barrier::new(8);
-    let ask = || {
+    let ask = |wish| {
         asked.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
         let ledger = ledger.clone();
         let work: Work = Box::new(move |_| Ok(std::fs::read_to_string(ledger).unwrap().into()));
-        queue.enqueue(order("pair", false, work))
+        queue.enqueue(Order { wish: Some(wish), ..order("pair", false, work) })
     };
     let once = || {
         start.wait();
-        queue.once("many", "wish", ask).unwrap()
+        queue.once(wish("many", "wish"), ask).unwrap()
     };
     let all: Vec<_> = std::thread::scope(|scope| {
         let asking: Vec<_> = (0..8).map(|_| scope.spawn(once)).collect();
@@ -306,29 +356,30 @@ fn many_at_once_get_the_one_job_and_it_begins_only_when_its_key_is_known() {
 fn keys_outlive_the_program_and_keep_their_jobs_from_being_forgotten() {
     let folder = tempfile::tempdir().unwrap();
     let alive = Arc::new(());
-    let (keyed, cut) = {
+    let (first, cut) = {
         let queue = resumed(folder.path(), &alive);
-        let (keyed, _) = queue.once("keyed", "wish", || quick(&queue)).unwrap();
-        finished(&queue, keyed.id);
-        let last = (0..REMEMBERED + 10).map(|_| finished(&queue, quick(&queue).unwrap().id)).last().unwrap();
-        assert_eq!(queue.get(keyed.id + 1), Err(JobsError::Unknown(keyed.id + 1)));
-        assert!(queue.get(keyed.id).is_ok() && queue.get(last.id).is_ok());
+        let (first, _) = keyed(&queue, "keyed", "wish").unwrap();
+        let mut last = finished(&queue, first.id);
+        for _ in 0..REMEMBERED + 10 {
+            last = finished(&queue, quick(&queue).unwrap().id);
+        }
+        assert_eq!(queue.get(first.id + 1), Err(JobsError::Unknown(first.id + 1)));
+        assert!(queue.get(first.id).is_ok() && queue.get(last.id).is_ok());
         let (_, go) = gated(&queue, "second");
-        let (cut, _) = queue.once("cut", "wish", || quick(&queue)).unwrap();
+        let (cut, _) = keyed(&queue, "cut", "wish").unwrap();
         std::fs::copy(folder.path().join("jobs.jsonl"), folder.path().join("killed")).unwrap();
         go.send(()).unwrap();
         assert!(queue.shut_down(Duration::from_secs(10), || {}));
-        (keyed.id, cut.id)
+        (first.id, cut.id)
     };
     std::fs::copy(folder.path().join("killed"), folder.path().join("jobs.jsonl")).unwrap();
     for _ in 0..2 {
         let queue = resumed(folder.path(), &alive);
-        let again =
-            |key| queue.once(key, "wish", || -> Result<_, JobsError> { panic!("{key} was forgotten") });
+        let again = |key| queue.once(wish(key, "wish"), asked_twice);
         let state = |key| again(key).map(|(job, before)| (job.id, job.state, before));
-        assert_eq!(state("keyed"), Ok((keyed, JobState::Done, true)));
+        assert_eq!(state("keyed"), Ok((first, JobState::Done, true)));
         assert_eq!(state("cut"), Ok((cut, JobState::Interrupted, true)));
-        assert_eq!(queue.once("cut", "other", || quick(&queue)), Err(JobsError::KeyReused("cut".into())));
+        assert_eq!(keyed(&queue, "cut", "other"), Err(JobsError::KeyReused("cut".into())));
         assert!(queue.shut_down(Duration::from_secs(10), || {}));
     }
 }

@@ -76,6 +76,13 @@ pub(super) fn jobs_that_ran(home: &Path) -> String {
     if running.is_empty() { "nothing ran".into() } else { Vec::from_iter(running).join(" and ") + " ran" }
 }
 
+/// The number of the last job of which the daemon's ledger tells.
+pub(super) fn last_job(home: &Path) -> u64 {
+    let lines = lines(&home.join("sessions/.unlit/jobs.jsonl"));
+    let of_a_job = lines.iter().filter_map(|line| line["id"].as_u64().or(line["job"].as_u64()));
+    of_a_job.max().unwrap_or(0)
+}
+
 /// The whole lines of a file, which may not be there.
 fn lines(file: &Path) -> Vec<Value> {
     let text = std::fs::read_to_string(file).unwrap_or_default();

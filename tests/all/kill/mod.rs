@@ -11,7 +11,7 @@ mod left;
 mod walk;
 
 use crate::daemon::{Client, Daemon, PATIENCE, is_open};
-use left::{Attempt, Left, jobs_that_ran};
+use left::{Attempt, Left, jobs_that_ran, last_job};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde_json::{Value, json};
@@ -173,6 +173,7 @@ impl Campaign {
         let left = Left::read(&self.folder());
         // Without a good pair there is nothing to make a model of, and without a change none to make.
         let due = process::is_due(&Session::open_shared(&self.folder()).unwrap()).unwrap_or(false);
+        let before = last_job(&self.home);
         let daemon = self.start();
         let client = daemon.client();
         self.look(&client, &left);
@@ -182,7 +183,7 @@ impl Campaign {
             self.shoot_a_good_one(&client);
         }
         if due || none_is_good {
-            self.processed(&client);
+            self.processed(&client, before);
         }
         self.mirrored(&client);
         daemon.stop();
@@ -197,6 +198,13 @@ impl Campaign {
             let differ = Command::new("diff").arg("-r").args([&ours, &theirs]).output().unwrap();
             assert!(differ.status.success(), "the mirror: {}", String::from_utf8_lossy(&differ.stdout));
         }
+        // Not every session has one.
+        let sequence = |at: PathBuf| std::fs::read(at.join("sequence.json")).ok();
+        assert_eq!(
+            sequence(self.folder()),
+            sequence(self.mirror().join(self.name())),
+            "the mirror's sequence"
+        );
         self.pairs += pairs;
         let undisturbed = self.originals("undisturbed");
         for part in ["derived", "model"] {
@@ -255,9 +263,9 @@ impl Campaign {
         }
     }
 
-    /// Waits until the processing that begins by itself has ended.
-    fn processed(&self, client: &Client) {
-        let (own, before) = (self.name(), self.told.jobs.last().copied().unwrap_or(0));
+    /// Waits until processing that has begun by itself, and is no job of this number or before, has ended.
+    fn processed(&self, client: &Client, before: u64) {
+        let own = self.name();
         let deadline = Instant::now() + PATIENCE;
         loop {
             let jobs = client.at_rest();
