@@ -150,7 +150,7 @@ fn the_status_tells_how_the_daemon_stands() {
     assert_eq!(now["devices"], json!({ "camera": false, "flash": false }));
     assert_eq!((&now["session"], &now["event_streams"]), (&Value::Null, &json!(0)));
     let idle = json!({ "running": 0, "waiting": 0 });
-    assert_eq!(now["jobs"], json!({ "rig": idle, "processing": idle }));
+    assert_eq!(now["jobs"], json!({ "rig": idle, "develop": idle, "processing": idle }));
     assert!(now["started"].as_str().unwrap().ends_with('Z'), "{now}");
     assert!(now["room"]["free_bytes"].as_u64().unwrap() > 0 && now["room"]["pairs"].is_null(), "{now}");
     assert!(status()["uptime_s"].as_f64() > now["uptime_s"].as_f64());

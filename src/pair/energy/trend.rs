@@ -268,7 +268,10 @@ fn causes(pulses: &[TrendPulse], triggers: &[f64]) -> Vec<(Cause, Candidate)> {
     for tau in RECHARGES {
         out.push(candidate(Cause::Recharge(tau), pulses.iter().map(|p| (-rest(p) / tau).exp()).collect()));
     }
-    for cooling in COOLINGS {
+    let lasted = times.last().copied().unwrap_or(0.0) - times.first().copied().unwrap_or(0.0);
+    // A tube that cools more slowly than the series lasts loses light along a line, as with a battery that runs down: the
+    // two cannot be told apart.
+    for cooling in COOLINGS.into_iter().filter(|cooling| *cooling <= lasted) {
         let heat = |at: f64| {
             let before = triggers.iter().take_while(|t| **t < at);
             before.map(|t| (-(at - t) / cooling).exp()).sum::<f64>()
@@ -321,7 +324,7 @@ fn explain_trend(trend: &mut Trend, pulses: &[TrendPulse], triggers: &[f64]) {
                 trend.droop = Some(loss);
                 if loss < -WORTH_COOLING {
                     trend.advice.push(advice(AdviceCode::ChargeBattery, format!(
-                        "The flash has lost {} of its light since the first pair: charge or change its battery.",
+                        "The flash has lost {} of its light since the first pair: charge or change its battery, or let it cool if it is hot.",
                         percent(loss)
                     )));
                 }
