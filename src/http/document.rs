@@ -6,6 +6,7 @@
 
 use super::pairing::COOKIE;
 use super::routes::pairs::FrameName;
+use super::sequence_bodies::SequenceWish;
 use super::{App, routes};
 use utoipa::OpenApi;
 use utoipa::openapi::path::{Operation, PathItem};
@@ -24,7 +25,7 @@ use utoipa_axum::router::OpenApiRouter;
                        take is answered with 405 and `Allow`, a path that is not there with 404.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0")
     ),
-    components(schemas(FrameName)),
+    components(schemas(FrameName, SequenceWish)),
     tags(
         (name = "capture", description = "Devices, sessions, pairs"),
         (name = "processing", description = "Scene, calibration, model, jobs"),
@@ -240,5 +241,28 @@ mod tests {
             }
         }
         assert!(seen > 25, "{seen} operations");
+    }
+
+    /// Adds whatever `value` refers to.
+    fn references<'a>(value: &'a Value, into: &mut Vec<&'a str>) {
+        match value {
+            Value::Object(entries) => {
+                into.extend(entries.get("$ref").and_then(Value::as_str));
+                entries.values().for_each(|entry| references(entry, into));
+            }
+            Value::Array(entries) => entries.iter().for_each(|entry| references(entry, into)),
+            _ => {}
+        }
+    }
+
+    #[test]
+    fn whatever_the_document_refers_to_is_in_it() {
+        let document: Value = serde_json::from_str(&text(api().into_openapi()).unwrap()).unwrap();
+        let mut named = Vec::new();
+        references(&document, &mut named);
+        assert!(named.len() > 50, "{} references", named.len());
+        for name in named {
+            assert!(document.pointer(name.trim_start_matches('#')).is_some(), "{name} is not there");
+        }
     }
 }
