@@ -4,6 +4,7 @@ use super::links;
 use crate::pair::order::{Order, Part};
 use crate::pair::{self, Settings};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use utoipa::ToSchema;
 
 /// One failed check.
@@ -110,8 +111,8 @@ pub(super) struct PairBody {
 
 impl PairBody {
     /// Out of all attempts at it; `None` without any.
-    pub(super) fn new(session: &str, attempts: &[pair::PairRecord]) -> Option<Self> {
-        let record = pair::current(attempts)?;
+    pub(super) fn new(session: &str, attempts: &[Arc<pair::PairRecord>]) -> Option<Self> {
+        let record = &**pair::current(attempts)?;
         let number = record.number;
         let folder = pair::Attempt::from(record);
         let mut frames = [Vec::new(), Vec::new(), Vec::new()];
@@ -141,7 +142,7 @@ impl PairBody {
             on: on.pop()?,
             after,
             attempt: record.attempt,
-            attempts: attempts.iter().map(AttemptBody::from).collect(),
+            attempts: attempts.iter().map(|record| AttemptBody::from(&**record)).collect(),
             order: record.order,
             drift: record.drift.map(|d| DriftBody { ambient: d.ambient, shift: d.shift }),
             name: record.name.clone(),

@@ -3,6 +3,7 @@
 use super::order::{Order, Part, Program, Slot};
 use super::{Drift, FlashRecord, Settings};
 use serde::{Deserialize, Serialize};
+use std::borrow::Borrow;
 use std::fmt;
 
 /// Whether processing may use the pair.
@@ -205,8 +206,8 @@ fn numbered(part: Part, from: usize, frames: &[FrameRecord]) -> impl Iterator<It
 }
 
 /// Of all times that one pair was shot the one that counts: the last that was accepted, or else the last.
-pub fn current(attempts: &[PairRecord]) -> Option<&PairRecord> {
-    let accepted = attempts.iter().rfind(|record| record.verdict == Verdict::Accepted);
+pub fn current<R: Borrow<PairRecord>>(attempts: &[R]) -> Option<&R> {
+    let accepted = attempts.iter().rfind(|record| (*record).borrow().verdict == Verdict::Accepted);
     accepted.or(attempts.last())
 }
 

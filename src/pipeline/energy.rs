@@ -5,6 +5,7 @@ use crate::calibration::FlashCalibration;
 use crate::pair::energy::{EnergyScale, Repeatability, Trend, trend};
 use crate::pair::{FlashRecord, PairRecord, Verdict};
 use crate::session::{Session, SessionError};
+use std::borrow::Borrow;
 use std::path::PathBuf;
 
 /// Why a session's energies cannot be told.
@@ -50,18 +51,18 @@ pub fn account(session: &Session) -> Result<FlashAccount, EnergyError> {
     let calibration = if super::flash::exists(session) { Some(super::flash::load(session)?) } else { None };
     let repeatability = repeatability(session)?;
     // Each attempt at a pair fired the flash, and what was rejected drained it as well.
-    let pairs: Vec<PairRecord> = session.attempts()?.into_values().flatten().collect();
+    let pairs: Vec<_> = session.attempts()?.into_values().flatten().collect();
     let scale = scale(&pairs, calibration.as_ref(), repeatability.as_ref());
     Ok(FlashAccount { trend: trend(&pairs, &scale), scale, repeatability })
 }
 
 /// The energy scale of a session's pairs.
 pub(super) fn scale(
-    pairs: &[PairRecord],
+    pairs: &[impl Borrow<PairRecord>],
     calibration: Option<&FlashCalibration>,
     repeatability: Option<&Repeatability>,
 ) -> EnergyScale {
-    let accepted = pairs.iter().filter(|pair| pair.verdict == Verdict::Accepted);
+    let accepted = pairs.iter().map(Borrow::borrow).filter(|pair| pair.verdict == Verdict::Accepted);
     let records: Vec<&FlashRecord> = accepted.filter_map(|pair| pair.flash.as_ref()).collect();
     let reference = calibration.and_then(|fit| fit.energy_counts);
     EnergyScale::new(records.iter().copied(), reference, repeatability.map(Repeatability::agreement))

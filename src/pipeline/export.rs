@@ -303,7 +303,7 @@ fn camera_colour(session: &Session, summary: &ProcessSummary) -> Result<CameraCo
     // All pairs of a session are one camera's; one file tells what the others do.
     let pair = session.pairs()?.into_iter().find(|p| summary.used.contains(&p.name));
     let pair = pair.ok_or_else(|| ExportError::NoColour(session.pairs_dir()))?;
-    let file = session.pair_dir(&pair).join(&pair.on.file);
+    let file = session.pair_dir(&*pair).join(&pair.on.file);
     raw_colour::read(&file)?.ok_or(ExportError::NoColour(file))
 }
 

@@ -7,6 +7,7 @@ use crate::pair::PairRecord;
 use crate::reflectance::pieces;
 use crate::reflectance::stage::Stage;
 use crate::scene::{Camera, Mesh};
+use std::sync::Arc;
 
 /// What a run may take unless told otherwise, GB.
 pub const MEMORY: f64 = 6.0;
@@ -48,7 +49,7 @@ pub(super) struct Needs {
 }
 
 impl Needs {
-    pub(super) fn of(meshes: &[Mesh], matched: &[(PairRecord, Camera)]) -> Self {
+    pub(super) fn of(meshes: &[Mesh], matched: &[(Arc<PairRecord>, Camera)]) -> Self {
         let triangles = meshes.iter().map(|mesh| mesh.triangles.len()).sum();
         let pixels = |camera: &Camera| camera.intrinsics.width as f64 * camera.intrinsics.height as f64;
         Self::with(triangles, &matched.iter().map(|(_, camera)| pixels(camera)).collect::<Vec<_>>())

@@ -112,7 +112,7 @@ pub(super) fn write(
     let report = report::html(&Told {
         manifest: &session.manifest(),
         calibration: &inputs.calibration,
-        pairs: inputs.matched.iter().map(|(pair, _)| pair).collect(),
+        pairs: inputs.matched.iter().map(|(pair, _)| &**pair).collect(),
         summary,
         flash: &inputs.flash,
         estimates: Estimates { size: (rho.width(), rho.height()), at: &|x, y| texture.estimate(x, y) },

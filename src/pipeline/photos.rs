@@ -22,6 +22,7 @@ use crate::scene::{Camera, export as camera_files};
 use crate::session::{Session, SessionError};
 use glam::{DMat3, DVec3};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The program that is to read the folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -141,7 +142,7 @@ pub fn export(
     if std::fs::read_dir(to).is_ok_and(|mut entries| entries.next().is_some()) {
         return Err(PhotosError::NotEmpty(to.to_owned()));
     }
-    let (pairs, rejected): (Vec<PairRecord>, Vec<PairRecord>) =
+    let (pairs, rejected): (Vec<_>, Vec<_>) =
         session.pairs()?.into_iter().partition(|pair| pair.verdict == Verdict::Accepted);
     let Some(first) = pairs.first() else { return Err(PhotosError::NoPairs(session.path().to_owned())) };
     let cameras = match scene::load_file(session) {
@@ -267,7 +268,7 @@ impl<'a> Developer<'a> {
     }
 
     /// The factor that brightens all photos.
-    fn gain(&self, pairs: &[PairRecord], progress: &Progress) -> Result<f32, PhotosError> {
+    fn gain(&self, pairs: &[Arc<PairRecord>], progress: &Progress) -> Result<f32, PhotosError> {
         let mut bright = vec![];
         let samples = pairs.len().min(SAMPLES);
         for i in 0..samples {

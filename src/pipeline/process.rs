@@ -26,6 +26,7 @@ use crate::session::{Session, SessionError, store};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Largest texture side that is made.
 pub(super) const LARGEST_TEXTURE: usize = 16384;
@@ -209,7 +210,7 @@ pub(super) struct Inputs {
     pub(super) calibration: FlashCalibration,
     pub(super) scene: Scene,
     /// Accepted pairs with their cameras, by name.
-    pub(super) matched: Vec<(PairRecord, Camera)>,
+    pub(super) matched: Vec<(Arc<PairRecord>, Camera)>,
     pub(super) left_out: Vec<LeftOut>,
     /// The flash over the session.
     pub(super) flash: FlashAccount,

@@ -334,7 +334,7 @@ mod tests {
             views: (0, 0),
         };
         let scale = EnergyScale::new([], None, None);
-        let flash = FlashAccount { trend: trend(&[], &scale), scale, repeatability: None };
+        let flash = FlashAccount { trend: trend::<PairRecord>(&[], &scale), scale, repeatability: None };
         // A quarter of the seen texels has the reflectance asked for, the rest 0.5.
         let at = |x: usize, y: usize| {
             let rho = if x < 80 { rho } else { [0.5; 3] };

@@ -19,11 +19,12 @@ use crate::session::{Session, store};
 use glam::Vec3;
 use std::fs::File;
 use std::io::BufReader;
+use std::sync::Arc;
 
 pub(super) fn texture_size(
     options: &ProcessOptions,
     object: &Mesh,
-    matched: &[(PairRecord, Camera)],
+    matched: &[(Arc<PairRecord>, Camera)],
 ) -> Result<usize, ProcessError> {
     if let Some(size) = options.texture_size {
         if !(16..=LARGEST_TEXTURE).contains(&size) {

@@ -66,7 +66,7 @@ impl Earlier {
     /// Remembers all pairs of a session; signatures that are missing are made from the originals and kept.
     pub fn load(session: &Session, progress: &Progress) -> Result<Self, EarlierError> {
         let mut earlier = Self { folder: folder(session), ..Self::default() };
-        let pairs: Vec<PairRecord> = session.attempts()?.into_values().flatten().collect();
+        let pairs: Vec<_> = session.attempts()?.into_values().flatten().collect();
         for (done, record) in pairs.iter().enumerate() {
             progress.check()?;
             progress.report("recalling earlier pairs", done, pairs.len());

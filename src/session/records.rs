@@ -28,25 +28,29 @@ impl Writing {
     }
 }
 
+/// By file, which writing of it was read, and what it said.
+type Known = HashMap<PathBuf, (Writing, Arc<PairRecord>)>;
+
 /// What was read of a session's pairs; clones share it, so that it may outlive the opening of a session.
 #[derive(Clone, Debug, Default)]
-pub struct Records(Arc<Mutex<HashMap<PathBuf, (Writing, PairRecord)>>>);
+pub struct Records(Arc<Mutex<Known>>);
 
 impl Records {
     /// A record as it is on the disk now.
-    pub(super) fn read(&self, file: &Path) -> Result<PairRecord, SessionError> {
+    pub(super) fn read(&self, file: &Path) -> Result<Arc<PairRecord>, SessionError> {
         // Asked before reading: what is written in between is read again next time.
         let now = Writing::of(&std::fs::metadata(file).map_err(SessionError::io(file))?);
-        let known = |(writing, record): &(Writing, PairRecord)| (*writing == now).then(|| record.clone());
+        let known =
+            |(writing, record): &(Writing, Arc<PairRecord>)| (*writing == now).then(|| record.clone());
         if let Some(record) = self.lock().get(file).and_then(known) {
             return Ok(record);
         }
-        let record: PairRecord = from_json(file)?;
+        let record: Arc<PairRecord> = Arc::new(from_json(file)?);
         self.lock().insert(file.to_owned(), (now, record.clone()));
         Ok(record)
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<PathBuf, (Writing, PairRecord)>> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, Known> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -8,6 +8,7 @@ use super::{
 };
 use crate::pair::{Attempt, PairRecord};
 use serde::{Deserialize, Serialize};
+use std::borrow::Borrow;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -31,8 +32,8 @@ fn first() -> u32 {
 
 impl Interrupted {
     /// Whether it, or a later attempt at it, is among these by now.
-    pub fn is_among(&self, pairs: &[PairRecord]) -> bool {
-        pairs.iter().any(|pair| pair.name == self.name && pair.attempt >= self.attempt)
+    pub fn is_among(&self, pairs: &[impl Borrow<PairRecord>]) -> bool {
+        pairs.iter().map(Borrow::borrow).any(|pair| pair.name == self.name && pair.attempt >= self.attempt)
     }
 }
 

@@ -3,6 +3,7 @@
 use super::{Numbering, Session, SessionError};
 use crate::pair::{FrameRecord, PairRecord};
 use serde::{Deserialize, Serialize};
+use std::borrow::Borrow;
 use std::path::Path;
 
 /// Bytes that stay free for the journal and for what other programs do meanwhile.
@@ -59,8 +60,8 @@ impl Session {
     }
 
     /// The same, its pairs being these.
-    pub fn room_after(&self, pairs: &[PairRecord]) -> Result<Room, SessionError> {
-        let largest_pair = pairs.iter().map(bytes_of).max().unwrap_or(0);
+    pub fn room_after(&self, pairs: &[impl Borrow<PairRecord>]) -> Result<Room, SessionError> {
+        let largest_pair = pairs.iter().map(|pair| bytes_of(pair.borrow())).max().unwrap_or(0);
         Ok(Room { free: self.free()?, largest_pair })
     }
 

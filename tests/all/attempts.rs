@@ -4,6 +4,7 @@ use rand::{RngExt, SeedableRng};
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use unlit::pair::order::{Order, Program};
 use unlit::pair::{Attempt, PairRecord, Reason, ReasonCode, Settings, Verdict};
@@ -58,7 +59,7 @@ fn further_attempts_have_folders_of_their_own_and_only_rejected_pairs_have_any()
     assert_eq!((second.number, second.attempt, second.name.as_str()), (1, 2, "0001"));
     assert_eq!(std::fs::read(home.path().join("pairs/0001/off.dng")).unwrap(), b"1");
     assert_eq!(std::fs::read(home.path().join("pairs/0001-2/off.dng")).unwrap(), b"3");
-    assert_eq!(session.pairs().unwrap(), [second]);
+    assert_eq!(session.pairs().unwrap(), [Arc::new(second)]);
     let refused = session.commit_pair(pair(b"5", b"6", Some(1), vec![]));
     assert!(matches!(refused, Err(SessionError::PairAccepted { number: 1 })), "{refused:?}");
     assert!(!home.path().join("pairs/0001-3").exists());
@@ -112,7 +113,7 @@ fn an_attempt_whose_folder_is_whole_is_stored_whatever_the_journal_lacks() {
     without_the_last_line(&home.path().join("journal.jsonl"));
     let session = Session::open(home.path()).unwrap();
     assert_eq!(session.recovery().completed, [Attempt { number: 1, attempt: 2 }]);
-    assert_eq!(session.pairs().unwrap(), [second]);
+    assert_eq!(session.pairs().unwrap(), [Arc::new(second)]);
     assert!(session.verify(&Progress::silent()).unwrap().findings.is_empty());
 }
 
@@ -206,7 +207,8 @@ fn kill_9_at_any_moment_loses_no_attempt_that_was_acknowledged() {
         acknowledged.extend(lines.map_while(Result::ok).filter_map(|line| told(&line)));
 
         let session = Session::open(home.path()).unwrap();
-        let there: Vec<Attempt> = session.attempts().unwrap().values().flatten().map(Attempt::from).collect();
+        let there: Vec<Attempt> =
+            session.attempts().unwrap().values().flatten().map(|pair| Attempt::from(&**pair)).collect();
         assert!(acknowledged.iter().all(|own| there.contains(own)), "{acknowledged:?} {there:?}");
         let found = session.verify(&Progress::silent()).unwrap();
         assert!(found.findings.is_empty() && found.originals == 3 * there.len(), "{found:?}");

@@ -67,7 +67,7 @@ fn a_good_pair_is_accepted_whole_and_announced() {
     let flash = pair.flash.clone().unwrap();
     assert_eq!((flash.pulses_off(), flash.pulses_on(), flash.energy_counts()), (0, 1, Some(1000.0)));
     assert!(shoot.session.verify_pair(pair.number).is_empty());
-    assert_eq!(shoot.session.pairs().unwrap(), [pair]);
+    assert_eq!(shoot.session.pairs().unwrap(), [Arc::new(pair)]);
     assert_eq!(room.log(), ["disarm", "shoot", "arm", "shoot", "disarm"]);
     let told = heard.try_recv().unwrap();
     assert_eq!((told.topic.name(), &told.data["number"]), ("pair", &1.into()));

@@ -255,8 +255,8 @@ fn a_misfire_is_shot_again_under_its_own_number_and_nothing_is_overwritten() {
         house.try_shoot(PairWish { order: Some(Order::OffOn), off_frames: Some(1), again: Some(1) }).unwrap();
     assert_eq!((good.number, good.attempt, good.name.as_str()), (1, 3, "0001"));
     assert_eq!(good.verdict, Verdict::Accepted, "{:?}", good.reasons);
-    assert_eq!(house.session.pairs().unwrap(), std::slice::from_ref(&good));
-    assert_eq!(house.session.attempts().unwrap()[&1], [first.clone(), third, good.clone()]);
+    assert_eq!(house.session.pairs().unwrap(), [Arc::new(good.clone())]);
+    assert_eq!(house.session.attempts().unwrap()[&1], [first.clone(), third, good.clone()].map(Arc::new));
     assert_eq!(std::fs::read(house.session.pair_dir(&first).join("off.cr2")).unwrap(), before);
     let folders = ["0001", "0001-2", "0001-3"];
     assert!(folders.iter().all(|f| house.session.pairs_dir().join(f).is_dir()));
@@ -288,7 +288,7 @@ fn a_misfire_is_shot_again_under_its_own_number_and_nothing_is_overwritten() {
     let opened = Session::open(&path).unwrap();
     assert_eq!(opened.recovery(), &Default::default());
     assert_eq!(
-        opened.pairs().unwrap().iter().map(Attempt::from).map(|a| a.to_string()).collect::<Vec<_>>(),
+        opened.pairs().unwrap().iter().map(|pair| Attempt::from(&**pair).to_string()).collect::<Vec<_>>(),
         ["0001-3", "0002"]
     );
     assert!(opened.rejected_pair(1).is_err());

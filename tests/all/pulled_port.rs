@@ -85,7 +85,7 @@ impl House {
             let ((off, dark), (on, lit)) = (taken[&pair.off.blake3], taken[&pair.on.blake3]);
             assert!(!dark && lit, "pair {} was accepted in a wrong light", pair.number);
             assert_eq!(on, off + 1, "pair {} is made of exposures {off} and {on}", pair.number);
-            let flash = pair.flash.unwrap();
+            let flash = pair.flash.as_ref().unwrap();
             assert_eq!((flash.pulses_off(), flash.pulses_on()), (0, 1), "pair {}", pair.number);
         }
     }

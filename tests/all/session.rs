@@ -5,6 +5,7 @@ use serde_json::json;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use unlit::pair::{Attempt, Reason, ReasonCode, Settings, Verdict};
 use unlit::progress::Progress;
@@ -57,7 +58,7 @@ fn a_committed_pair_is_there_byte_for_byte_after_reopening() {
 
     let session = Session::open(&path).unwrap();
     assert_eq!(session.manifest().name, "bath");
-    assert_eq!(session.pairs().unwrap(), [first.clone(), second.clone()]);
+    assert_eq!(session.pairs().unwrap(), [first.clone(), second.clone()].map(Arc::new));
     assert_eq!((first.number, first.name.as_str(), first.verdict), (1, "IMG_7", Verdict::Accepted));
     assert_eq!((second.number, second.name.as_str()), (2, "0002"));
     assert_eq!((first.off.file.as_str(), first.on.file.as_str()), ("off.dng", "on.cr2"));
@@ -271,7 +272,7 @@ fn a_pair_whose_folder_is_whole_is_stored_whatever_the_journal_lacks() {
 
     let session = Session::open(home.path()).unwrap();
     assert_eq!(session.recovery().completed, [Attempt::first(1)]);
-    assert_eq!((session.pairs().unwrap(), session.next_pair_number().unwrap()), (vec![record], 2));
+    assert_eq!((session.pairs().unwrap(), session.next_pair_number().unwrap()), (vec![Arc::new(record)], 2));
     assert!(session.verify(&Progress::silent()).unwrap().findings.is_empty());
 }
 

@@ -139,7 +139,7 @@ fn digest(pair: &PairRecord) -> String {
 /// Gives how many were accepted (`false`) and rejected (`true`).
 fn check_pairs(session: &Session, acknowledged: &[String], taken: &Exposures) -> BTreeMap<bool, usize> {
     let stored = session.pairs().unwrap();
-    let found: Vec<String> = stored.iter().map(digest).collect();
+    let found: Vec<String> = stored.iter().map(|pair| digest(pair)).collect();
     assert!(found == acknowledged, "what is on the disk is not what was acknowledged");
     let taken = taken.lock().unwrap();
     let mut verdicts = BTreeMap::new();

@@ -5,11 +5,19 @@ use crate::pair::PairRecord;
 use crate::session::SessionFile;
 use std::collections::BTreeMap;
 use std::fs::File;
+use std::sync::Arc;
 
 impl Desk {
     /// All attempts at all pairs of a session, by number and in their order.
-    pub fn attempts(&self, session: &str) -> Result<BTreeMap<u32, Vec<PairRecord>>, DeskError> {
+    pub fn attempts(&self, session: &str) -> Result<BTreeMap<u32, Vec<Arc<PairRecord>>>, DeskError> {
         Ok(self.reader(session)?.attempts()?)
+    }
+
+    /// All attempts at one pair, in their order.
+    pub fn attempts_at(&self, session: &str, number: u32) -> Result<Vec<Arc<PairRecord>>, DeskError> {
+        let attempts = self.reader(session)?.attempts_at(number)?;
+        let missing = || DeskError::NoSuchPair { session: session.to_owned(), number };
+        if attempts.is_empty() { Err(missing()) } else { Ok(attempts) }
     }
 
     /// The files of a session that may be seen.

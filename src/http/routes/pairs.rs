@@ -49,7 +49,7 @@ pub(super) async fn one(
     Path((session, number)): Path<(String, u32)>,
 ) -> Result<Json<PairBody>, Problem> {
     blocking(move || {
-        let attempts = app.desk.attempts(&session)?.remove(&number).unwrap_or_default();
+        let attempts = app.desk.attempts_at(&session, number)?;
         let missing = || DeskError::NoSuchPair { session: session.clone(), number };
         Ok(Json(PairBody::new(&session, &attempts).ok_or_else(missing)?))
     })
@@ -139,8 +139,8 @@ pub(super) async fn thumbnail(
             PictureName::Known => Slot::ON,
         };
         // Asked first: nothing that is shot meanwhile is kept under the address of what was there before.
-        let attempts = app.desk.attempts(&session)?;
-        let shown = attempts.get(&number).and_then(|attempts| current(attempts)?.frame(slot));
+        let attempts = app.desk.attempts_at(&session, number)?;
+        let shown = current(&attempts).and_then(|record| record.frame(slot));
         let present = shown.map(|frame| links::making(&frame.blake3));
         let file = match frame {
             PictureName::Frame(slot) => app.desk.thumbnail(&session, number, slot),

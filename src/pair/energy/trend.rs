@@ -17,6 +17,7 @@ use super::{EnergyScale, mean_and_deviation, median};
 use crate::pair::{FlashRecord, FlashSync, PairRecord, ReasonCode, Verdict, proof};
 use crate::photometry::FlashGain;
 use serde::{Deserialize, Serialize};
+use std::borrow::Borrow;
 
 /// Fewer pulses have no trend.
 const FEWEST_PULSES: usize = 10;
@@ -144,10 +145,11 @@ fn seconds(s: f64) -> String {
 }
 
 /// What the session's pairs tell of the flash. `pairs` in the order in which they were shot, rejected ones included.
-pub fn trend(pairs: &[PairRecord], scale: &EnergyScale) -> Trend {
-    let triggers = triggers(pairs);
-    let pulses = pulses(pairs, &triggers, scale);
-    let seen: Vec<_> = pairs.iter().filter_map(|p| Some((p, p.flash.as_ref()?))).collect();
+pub fn trend<R: Borrow<PairRecord>>(pairs: &[R], scale: &EnergyScale) -> Trend {
+    let pairs: Vec<&PairRecord> = pairs.iter().map(Borrow::borrow).collect();
+    let triggers = triggers(&pairs);
+    let pulses = pulses(&pairs, &triggers, scale);
+    let seen: Vec<_> = pairs.iter().filter_map(|p| Some((*p, p.flash.as_ref()?))).collect();
     let misfired = |p: &&(&PairRecord, _)| {
         p.0.reasons.iter().any(|r| matches!(r.code, ReasonCode::Misfire | ReasonCode::NotDark))
     };
@@ -197,7 +199,7 @@ pub fn trend(pairs: &[PairRecord], scale: &EnergyScale) -> Trend {
 }
 
 /// When the flash was triggered, rejected pairs included: those pulses drain and heat it as well.
-fn triggers(pairs: &[PairRecord]) -> Vec<f64> {
+fn triggers(pairs: &[&PairRecord]) -> Vec<f64> {
     let records = pairs.iter().filter_map(|pair| pair.flash.as_ref());
     let syncs = records.flat_map(|flash| flash.off.iter().chain(&flash.on)).filter(|sync| sync.triggered);
     let mut times: Vec<f64> = syncs.filter_map(|sync| sync.at).collect();
@@ -205,7 +207,7 @@ fn triggers(pairs: &[PairRecord]) -> Vec<f64> {
     times
 }
 
-fn pulses(pairs: &[PairRecord], triggers: &[f64], scale: &EnergyScale) -> Vec<TrendPulse> {
+fn pulses(pairs: &[&PairRecord], triggers: &[f64], scale: &EnergyScale) -> Vec<TrendPulse> {
     let accepted = pairs.iter().filter(|pair| pair.verdict == Verdict::Accepted);
     accepted
         .filter_map(|pair| {
