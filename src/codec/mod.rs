@@ -11,6 +11,7 @@ pub mod exr_image;
 pub mod icc;
 pub mod jpeg;
 mod ljpeg;
+pub mod markup;
 pub mod obj;
 pub mod png;
 pub mod raw;

@@ -4,6 +4,7 @@
 //! Capture One name theirs, and darktable and digiKam read that too. `xmp:Rating` -1 is the standard's word for rejected.
 //! Labels are free text; "Red" is the one that most programs show as a colour.
 
+use super::markup::escape;
 use crate::pair::{PairRecord, Verdict};
 
 /// Our own properties.
@@ -21,7 +22,7 @@ pub fn sidecar(pair: &PairRecord, role: &str) -> String {
     };
     let codes = pair.reasons.iter().filter_map(|reason| serde_json::to_value(reason.code).ok());
     let items: String = codes
-        .filter_map(|code| code.as_str().map(|code| format!("\n      <rdf:li>{}</rdf:li>", escaped(code))))
+        .filter_map(|code| code.as_str().map(|code| format!("\n      <rdf:li>{}</rdf:li>", escape(code))))
         .collect();
     let reasons = if items.is_empty() {
         String::new()
@@ -53,25 +54,8 @@ pub fn sidecar(pair: &PairRecord, role: &str) -> String {
         bom = '\u{feff}',
         version = env!("CARGO_PKG_VERSION"),
         number = pair.number,
-        name = escaped(&pair.name),
-        role = escaped(role),
-        description = escaped(&description),
+        name = escape(&pair.name),
+        role = escape(role),
+        description = escape(&description),
     )
-}
-
-/// Text as XML takes it, in elements and in attributes; characters that XML has no way to write are left out.
-fn escaped(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\n' | '\t' | '\r' => out.push(' '),
-            c if c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}') => {}
-            c => out.push(c),
-        }
-    }
-    out
 }

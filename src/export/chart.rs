@@ -3,7 +3,8 @@
 //! Takes values as they are and their names; scales the axes to round numbers. Colours are the page's own, so that
 //! the picture follows light and dark.
 
-use super::report::{escape, put};
+use super::report::put;
+use crate::codec::markup::escape;
 
 /// One set of points.
 pub struct Series {

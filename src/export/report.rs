@@ -5,6 +5,7 @@
 //! RFC 4648).
 
 use super::chart::{self, Chart};
+use crate::codec::markup::escape;
 use std::fmt::Write as _;
 
 /// A whole report.
@@ -177,25 +178,6 @@ fn figure(out: &mut String, picture: &Picture) {
         );
     }
     put(out, format_args!("<figcaption>{caption}</figcaption></figure>\n"));
-}
-
-/// Text that HTML shows as it is, in elements and in quoted attributes; control characters, which HTML has no
-/// way to write, become the replacement character.
-pub(super) fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            '\n' | '\t' => out.push(c),
-            c if c.is_control() => out.push(char::REPLACEMENT_CHARACTER),
-            c => out.push(c),
-        }
-    }
-    out
 }
 
 /// RFC 4648, section 4, with padding.

@@ -2,6 +2,7 @@
 //! undone here, so that both give the same camera.
 
 use super::{Camera, Distortion, Intrinsics};
+use crate::codec::markup::escape;
 use glam::{DMat3, DQuat};
 use std::fmt::Write as _;
 
@@ -58,7 +59,7 @@ pub fn blocks_exchange(block: &str, photos: &[Photo]) -> String {
             photos.iter().zip(&which).enumerate().filter(|(_, (_, which))| **which == number)
         {
             let [omega, phi, kappa] = omega_phi_kappa(camera.world_from_camera.matrix3);
-            let (c, path) = (camera.centre(), escaped(path));
+            let (c, path) = (camera.centre(), escape(path));
             let _ = writeln!(
                 groups,
                 "        <Photo><Id>{id}</Id><ImagePath>{path}</ImagePath><Pose><Rotation><Omega>{omega:.12}</Omega>\
@@ -79,7 +80,7 @@ pub fn blocks_exchange(block: &str, photos: &[Photo]) -> String {
   </Block>
 </BlocksExchange>
 "#,
-        escaped(block)
+        escape(block)
     )
 }
 
@@ -179,10 +180,6 @@ pub fn reality_scan(camera: &Camera) -> String {
 pub fn reality_scan_lacks(camera: &Camera) -> bool {
     let Intrinsics { focal, distortion: Distortion { p1, p2, .. }, .. } = camera.intrinsics;
     (p1, p2) != (0.0, 0.0) || (focal.x / focal.y - 1.0).abs() > 1e-6
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ use std::path::PathBuf;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
+use unlit::pair::Attempt;
 use unlit::progress::Progress;
 use unlit::session::Session;
 
@@ -40,9 +41,26 @@ impl House {
 
     /// From now on every operation takes so long and fails with this errno, if it is not 0.
     fn disk(&self, delay: Duration, errno: i32) {
+        self.order(&format!("{} {errno}", delay.as_micros()));
+    }
+
+    fn order(&self, words: &str) {
         let aside = self.orders.with_extension("aside");
-        std::fs::write(&aside, format!("{} {errno}", delay.as_micros())).unwrap();
+        std::fs::write(&aside, words).unwrap();
         std::fs::rename(aside, &self.orders).unwrap();
+    }
+
+    /// The sequence, once it is as wanted.
+    fn sequence(&self, wanted: impl Fn(&Value) -> bool) -> Value {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let now = self.client.get("/sessions/vase/sequence").unwrap();
+            if wanted(&now) {
+                return now;
+            }
+            assert!(Instant::now() < deadline, "{now}");
+            std::thread::sleep(Duration::from_millis(10));
+        }
     }
 
     fn disk_is_well(&self) {
@@ -138,6 +156,44 @@ fn a_disk_that_fails_while_a_pair_is_shot_is_named_and_the_next_pair_is_stored()
         }
     }
     house.has(pairs);
+}
+
+#[test]
+fn a_pair_that_had_its_place_when_the_disk_failed_counts_for_its_position() {
+    let house = House::open();
+    let folder = house.home.path().join("sessions/vase/pairs");
+    let plan = json!({ "positions": 2, "between": { "kind": "hook" } });
+    let ask = |method: &str, path: &str, body: Option<Value>| {
+        let (status, answer) =
+            house.client.ask(method, &format!("/sessions/vase/sequence{path}"), body).unwrap();
+        assert!((200..300).contains(&status), "{method} {path}: {answer}");
+    };
+    ask("PUT", "", Some(plan));
+    ask("POST", "/start", None);
+    // The pair's folder gets its name; that this is on the disk cannot be said.
+    house.order(&format!("0 {EIO} {}", folder.display()));
+    ask("POST", "/next", None);
+    house.sequence(|now| now["position"] == 2 && now["positions"][0]["pairs"] == json!([1]));
+    house.disk_is_well();
+    house.gate_is_closed();
+    ask("POST", "/next", None);
+    let done = house.sequence(|now| now["state"] == "done");
+    assert_eq!(done["positions"][1]["pairs"], json!([2]), "{done}");
+    // Whoever asked for the first pair was not told that it is safe.
+    let jobs = house.client.get("/jobs").unwrap();
+    let mut of_pairs: Vec<&Value> =
+        jobs.as_array().unwrap().iter().filter(|job| job["kind"] == "pair").collect();
+    of_pairs.sort_by_key(|job| job["id"].as_u64());
+    let states: Vec<&Value> = of_pairs.iter().map(|job| &job["state"]).collect();
+    assert_eq!(states, ["failed", "done"], "{jobs}");
+    assert!(of_pairs[0]["problem"]["words"].to_string().contains(&format!("os error {EIO}")), "{jobs}");
+
+    house.daemon.stop();
+    let session = Session::open(&house.home.path().join("sessions/vase")).unwrap();
+    assert_eq!(session.recovery().completed, [Attempt::first(1)], "it is told to be whole");
+    assert_eq!(session.pairs().unwrap().len(), 2);
+    let found = session.verify(&Progress::silent()).unwrap();
+    assert!(found.findings.is_empty(), "{:?}", found.findings);
 }
 
 const ASKED: [&str; 4] = ["/status", "/jobs", "/sessions/vase", "/sessions/vase/pairs"];

@@ -2,7 +2,8 @@
  *
  *   UNLIT_TEST_DISK_FOLDER  only files below it
  *   UNLIT_TEST_DISK_ORDERS  a file; while it is there, every operation takes so many microseconds and fails with this
- *                           errno (0: does not). It holds both as "DELAY ERRNO"; the rest is not looked at
+ *                           errno (0: does not). It holds both as "DELAY ERRNO", or "DELAY ERRNO PATH": then this
+ *                           path alone is meant, and nothing below it. The rest is not looked at
  *   UNLIT_TEST_DISK_FIRST   number of the first operation that fails, from 1
  *   UNLIT_TEST_DISK_LAST    number of the last one
  *   UNLIT_TEST_DISK_ERRNO   errno
@@ -33,15 +34,16 @@ static long number(const char *name, long otherwise)
     return text ? atol(text) : otherwise;
 }
 
-/* Whether there are orders now. */
-static int ordered(long *delay, int *error)
+/* Whether there are orders for this path now. */
+static int ordered(const char *path, long *delay, int *error)
 {
     FILE *orders = fopen(getenv("UNLIT_TEST_DISK_ORDERS"), "r");
     if (!orders)
         return 0;
-    int read = fscanf(orders, "%ld %d", delay, error);
+    char only[1024];
+    int read = fscanf(orders, "%ld %d %1023s", delay, error, only);
     fclose(orders);
-    return read == 2;
+    return read == 2 || (read == 3 && strcmp(path, only) == 0);
 }
 
 /* Whether this operation fails; sets errno. */
@@ -53,7 +55,7 @@ static int fails(const char *what, const char *path, int takes_room)
     int error = (int)number("UNLIT_TEST_DISK_ERRNO", EIO);
     long delay = number("UNLIT_TEST_DISK_DELAY", 0);
     int by_orders = getenv("UNLIT_TEST_DISK_ORDERS") != NULL;
-    if (by_orders && !ordered(&delay, &error))
+    if (by_orders && !ordered(path, &delay, &error))
         return 0;
     if (delay)
         usleep((useconds_t)delay);

@@ -118,6 +118,22 @@ fn heat_asks_for_less_power_and_a_flat_battery_for_charging() {
 }
 
 #[test]
+fn heat_that_cools_more_slowly_than_the_pairs_last_counts_as_running_down() {
+    let advised = |count: usize| {
+        let times = walk(count);
+        let heat = |i: usize| (0..i).map(|j| (-(times[i] - times[j]) / 900.0).exp()).sum::<f64>();
+        of(&session(&times, |i, _, _| 1.0 - 0.0012 * heat(i)))
+    };
+    // 16 pairs are shot in a minute and a half, in which such a flash does not cool.
+    let short = advised(16);
+    assert_eq!(codes(&short), [AdviceCode::ChargeBattery], "{short:?}");
+    assert!(short.advice[0].sentence.contains("hot"), "{}", short.advice[0].sentence);
+    // 130 pairs take nearly an hour, pauses included.
+    let long = advised(130);
+    assert_eq!(codes(&long), [AdviceCode::LowerPower], "{long:?}");
+}
+
+#[test]
 fn an_unsteady_flash_misfires_and_a_blind_or_dazzled_photodiode_are_told() {
     let unsteady = of(&session(&walk(30), |i, _, _| 1.0 + 0.03 * (91.7 * (i * i) as f64).sin()));
     assert_eq!(codes(&unsteady), [AdviceCode::Unsteady]);
