@@ -1,7 +1,7 @@
 //! Text inside of XML and HTML.
 
-/// Text as XML 1.0 and HTML show it, in elements and in quoted attributes. Characters that they have no way to write
-/// become the replacement character (XML 1.0, section 2.2).
+/// Text as XML 1.0 and HTML show it, in elements and in quoted attributes. Control characters other than tab and
+/// line feed, most of which they have no way to write (XML 1.0, section 2.2), become the replacement character.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {

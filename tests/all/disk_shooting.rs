@@ -180,13 +180,12 @@ fn a_pair_that_had_its_place_when_the_disk_failed_counts_for_its_position() {
     let done = house.sequence(|now| now["state"] == "done");
     assert_eq!(done["positions"][1]["pairs"], json!([2]), "{done}");
     // Whoever asked for the first pair was not told that it is safe.
-    let jobs = house.client.get("/jobs").unwrap();
-    let mut of_pairs: Vec<&Value> =
-        jobs.as_array().unwrap().iter().filter(|job| job["kind"] == "pair").collect();
+    let jobs = house.client.at_rest();
+    let mut of_pairs: Vec<&Value> = jobs.iter().filter(|job| job["kind"] == "pair").collect();
     of_pairs.sort_by_key(|job| job["id"].as_u64());
     let states: Vec<&Value> = of_pairs.iter().map(|job| &job["state"]).collect();
-    assert_eq!(states, ["failed", "done"], "{jobs}");
-    assert!(of_pairs[0]["problem"]["words"].to_string().contains(&format!("os error {EIO}")), "{jobs}");
+    assert_eq!(states, ["failed", "done"], "{jobs:?}");
+    assert!(of_pairs[0]["problem"]["words"].to_string().contains(&format!("os error {EIO}")), "{jobs:?}");
 
     house.daemon.stop();
     let session = Session::open(&house.home.path().join("sessions/vase")).unwrap();

@@ -224,7 +224,7 @@ fn each_pair_is_developed_at_once_and_a_whole_solve_waits_for_a_pause() {
         assert_eq!(bureau.processed.load(Ordering::SeqCst), 0, "the photographer is at it");
     }
     assert_eq!(std::fs::read_dir(path.join("derived/known")).unwrap().count(), 3);
-    let known = std::fs::read(bureau.desk.known_light("vase", 4).unwrap()).unwrap();
+    let known = std::fs::read(bureau.desk.known_light("vase", 4).unwrap().0).unwrap();
     assert!(known.starts_with(&[0xff, 0xd8]));
     let waiting = bureau.of_kind("process");
     assert_eq!((waiting.len(), waiting[0].state), (1, JobState::Queued), "one solve for all of them");

@@ -162,10 +162,13 @@ fn a_damaged_record_is_an_error_that_names_it() {
     let home = tempfile::tempdir().unwrap();
     let session = Session::create(home.path(), "bath").unwrap();
     stored(session.commit_pair(pair(None, b"1", b"2")).unwrap());
+    let second = stored(session.commit_pair(pair(None, b"3", b"4")).unwrap());
     let file = session.pair_dir(1).join("pair.json");
     std::fs::write(&file, b"{\"number\": 1").unwrap();
-    let error = session.pairs().unwrap_err();
-    assert!(error.to_string().contains(&file.display().to_string()), "{error}");
+    for error in [session.pairs().unwrap_err(), session.pair(1).unwrap_err()] {
+        assert!(error.to_string().contains(&file.display().to_string()), "{error}");
+    }
+    assert_eq!(session.pair(2).unwrap(), second, "the others are there");
 }
 
 const CHILD_FOLDER: &str = "UNLIT_TEST_COMMIT_UNTIL_KILLED";

@@ -217,11 +217,17 @@ impl Desk {
         self.0.engine.confirm()
     }
 
-    /// A pair's small JPEG, made from the raw when it is first asked for.
-    pub fn thumbnail(&self, session: &str, number: u32, slot: Slot) -> Result<PathBuf, DeskError> {
+    /// A pair's small JPEG, made from the raw when it is first asked for, and the frame of which it is.
+    pub fn thumbnail(
+        &self,
+        session: &str,
+        number: u32,
+        slot: Slot,
+    ) -> Result<(PathBuf, FrameRecord), DeskError> {
         let session = self.reader(session)?;
         let record = self.pair(&session, number)?;
-        Ok(thumbnail::of_frame(&session, &record, frame_of(&record, slot)?)?)
+        let frame = frame_of(&record, slot)?;
+        Ok((thumbnail::of_frame(&session, &record, frame)?, frame.clone()))
     }
 
     /// What a session's pairs tell of the flash.
@@ -238,11 +244,11 @@ impl Desk {
         }
     }
 
-    /// A small JPEG of the light that the flash alone threw, made when it is first asked for.
-    pub fn known_light(&self, session: &str, number: u32) -> Result<PathBuf, DeskError> {
+    /// A small JPEG of the light that the flash alone threw, made when it is first asked for, and the lit frame.
+    pub fn known_light(&self, session: &str, number: u32) -> Result<(PathBuf, FrameRecord), DeskError> {
         let session = self.reader(session)?;
         let record = self.pair(&session, number)?;
-        Ok(thumbnail::of_known_light(&session, &record)?)
+        Ok((thumbnail::of_known_light(&session, &record)?, record.on))
     }
 
     /// Takes no more jobs, cancels everything and closes the gate at once; then waits a moment for all to end and says

@@ -11,7 +11,6 @@ use crate::http::links;
 use crate::http::paging::{Page, PageOrder};
 use crate::http::pair_bodies::{PairBody, PairOrder};
 use crate::http::problem::{Problem, ProblemBody};
-use crate::pair::current;
 use crate::pair::order::{OrderError, Slot};
 use axum::Json;
 use axum::extract::State;
@@ -134,28 +133,17 @@ pub(super) async fn thumbnail(
     Query(making): Query<Making>,
 ) -> Result<Response, Problem> {
     let (file, present) = blocking(move || {
-        let slot = match frame {
-            PictureName::Frame(slot) => slot,
-            PictureName::Known => Slot::ON,
+        // The frame is that of the picture, whatever is shot meanwhile.
+        let (file, shown) = match frame {
+            PictureName::Frame(slot) => app.desk.thumbnail(&session, number, slot)?,
+            PictureName::Known => app.desk.known_light(&session, number)?,
         };
-        // Asked first: nothing that is shot meanwhile is kept under the address of what was there before.
-        let attempts = app.desk.attempts_at(&session, number)?;
-        let shown = current(&attempts).and_then(|record| record.frame(slot));
-        let present = shown.map(|frame| links::making(&frame.blake3));
-        let file = match frame {
-            PictureName::Frame(slot) => app.desk.thumbnail(&session, number, slot),
-            PictureName::Known => app.desk.known_light(&session, number),
-        };
-        Ok((file?, present))
+        Ok((file, links::making(&shown.blake3)))
     })
     .await?;
     let bytes = tokio::fs::read(&file).await.map_err(Problem::internal)?;
     // Originals never change, and so neither does this; but the pair may be shot again, and then its pictures are others.
-    let kept = if making.of.is_some() && making.of == present {
-        "private, max-age=31536000, immutable"
-    } else {
-        "no-cache"
-    };
+    let kept = if making.of == Some(present) { "private, max-age=31536000, immutable" } else { "no-cache" };
     Ok(([(header::CONTENT_TYPE, "image/jpeg"), (header::CACHE_CONTROL, kept)], bytes).into_response())
 }
 

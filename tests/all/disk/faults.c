@@ -41,7 +41,7 @@ static int ordered(const char *path, long *delay, int *error)
     if (!orders)
         return 0;
     char only[1024];
-    int read = fscanf(orders, "%ld %d %1023s", delay, error, only);
+    int read = fscanf(orders, "%ld %d %1023[^\n]", delay, error, only);
     fclose(orders);
     return read == 2 || (read == 3 && strcmp(path, only) == 0);
 }
