@@ -225,7 +225,10 @@ mod tests {
         // Rows of the transpose: x stays, y goes to -z, z to y.
         assert!(text.contains("( (1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0), (0, 0, 0, 1) )"), "{text}");
         let names: Vec<&str> = text.split("def ").skip(1).filter_map(|d| d.split('"').nth(1)).collect();
-        for path in text.split("</").skip(1).map(|p| p.split(['>', '.']).next().unwrap()) {
+        let paths: Vec<&str> =
+            text.split("</").skip(1).map(|p| p.split(['>', '.']).next().unwrap()).collect();
+        assert!(!paths.is_empty(), "{text}");
+        for path in paths {
             assert!(path.split('/').all(|part| names.contains(&part)), "{path} of {names:?}");
         }
     }
