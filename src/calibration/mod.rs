@@ -1,5 +1,7 @@
 //! Fits from calibration shots. Plain inputs, no files.
 
 mod flash;
+mod record;
 
 pub use flash::{CardResidual, CardShot, FieldFactor, FlashCalibration, FlashFitError, fit_flash};
+pub use record::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};

@@ -55,8 +55,22 @@ fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (low - air, high + air)
 }
 
+/// The chart as an SVG file of its own, on white.
+pub fn picture(chart: &Chart) -> String {
+    const HEAD: &str =
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<svg xmlns=\"http://www.w3.org/2000/svg\"";
+    const STYLE: &str = "svg{background:#fff;font:12px sans-serif}text{fill:#555}.grid{stroke:#ddd}\
+.series,.series .bar{fill:#4a6fa5;stroke:#4a6fa5}.s1,.s1 .bar{fill:#c2703d;stroke:#c2703d}.s2,.s2 .bar{fill:#5e8c4a;stroke:#5e8c4a}\
+.series circle,.series path{stroke-width:1}.series text{stroke:none}";
+    draw(chart, HEAD, &format!("<style>{STYLE}</style>\n"))
+}
+
 /// The chart as SVG, to stand in HTML.
 pub(super) fn svg(chart: &Chart) -> String {
+    draw(chart, "<svg class=\"chart\"", "")
+}
+
+fn draw(chart: &Chart, head: &str, style: &str) -> String {
     let points = || chart.series.iter().flat_map(|s| &s.points);
     let (x0, x1) = range(points().map(|p| p.0));
     let (y0, y1) = range(points().flat_map(|p| [p.1 - p.2, p.1 + p.2]));
@@ -64,7 +78,7 @@ pub(super) fn svg(chart: &Chart) -> String {
     let x = |v: f64| left + (v - x0) / (x1 - x0) * (WIDTH - left - right);
     let y = |v: f64| HEIGHT - bottom - (v - y0) / (y1 - y0) * (HEIGHT - top - bottom);
     let mut out = format!(
-        "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">\n",
+        "{head} viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">\n{style}",
         escape(&chart.caption)
     );
     let (values, decimals) = ticks(y0, y1);

@@ -1,5 +1,6 @@
 //! Files to results, in stages keyed by the digest of their inputs.
 
+pub mod calibrate;
 pub mod cost;
 pub mod develop;
 pub mod energy;

@@ -1,10 +1,10 @@
 //! `unlit calibrate`: measures the rig from calibration shots.
 
-use super::devices::DeviceArgs;
-use super::settings::ConfigArgs;
-use super::shoot::tell_of_recovery;
-use super::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::capture::{Engine, Events, words_on_repeatability};
+use crate::cli::devices::DeviceArgs;
+use crate::cli::settings::ConfigArgs;
+use crate::cli::shoot::tell_of_recovery;
+use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pair::Limits;
 use crate::pipeline;
 use crate::pipeline::flash::{CardFacts, CardFiles, calibrate};

@@ -1,0 +1,212 @@
+//! Calibrations from raw files: the shots are read one by one, the fit is kept with all that it comes from.
+//!
+//! A calibration of the kind `levels` is `calibration/levels.json` (a [`Record`]), `calibration/levels.svg` (its
+//! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already).
+
+use super::saturation::{self, SaturationError};
+use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
+use crate::codec::raw::{Photo, RawError};
+use crate::export::chart::{self, Chart};
+use crate::photometry::saturation::SaturationTable;
+use crate::progress::{Cancelled, Progress};
+use crate::session::{Session, SessionError, store, utc_now};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+/// Why a calibration's shots could not be read, or the calibration not be kept or read again.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SeriesError {
+    /// The disk refused.
+    #[error("{}: {source}; check that the disk is there, writable and not full", path.display())]
+    Io {
+        /// File or folder.
+        path: PathBuf,
+        /// The system's own word.
+        source: std::io::Error,
+    },
+    /// A shot cannot be decoded.
+    #[error(transparent)]
+    Raw(#[from] RawError),
+    /// A shot of another rig.
+    #[error("{} is not of the same rig as the others: {source}; calibrate each rig by itself", path.display())]
+    OtherRig {
+        /// The shot.
+        path: PathBuf,
+        /// What differs.
+        source: OtherRig,
+    },
+    /// A shot was given twice.
+    #[error("{} and {} are the same photograph; give each once", path.display(), other.display())]
+    Twice {
+        /// The shot.
+        path: PathBuf,
+        /// The one given before.
+        other: PathBuf,
+    },
+    /// A shot changed while it was used.
+    #[error("{} changed while it was read; try again when nothing writes it any more", .0.display())]
+    Changed(PathBuf),
+    /// The session's saturation table cannot be read.
+    #[error(transparent)]
+    Saturation(#[from] SaturationError),
+    /// A calibration's file is broken.
+    #[error("{} is damaged ({reason}); calibrate again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A calibration of a later program.
+    #[error("{} was written by a later version of unlit (form {found}, this program knows {SCHEMA}); update unlit", path.display())]
+    TooNew {
+        /// The file.
+        path: PathBuf,
+        /// Its form.
+        found: u32,
+    },
+    /// The session refused.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// Stopped on request.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+/// A series of shots as they are read.
+pub(super) struct Series<'a> {
+    session: &'a Session,
+    kind: &'static str,
+    measured: SaturationTable,
+    rig: Rig,
+    shots: Vec<Shot>,
+    /// Where each shot was read from.
+    paths: Vec<PathBuf>,
+}
+
+impl<'a> Series<'a> {
+    /// A series without shots yet, to be kept as a calibration of this kind.
+    pub(super) fn new(session: &'a Session, kind: &'static str) -> Result<Self, SeriesError> {
+        let measured = saturation::load(session)?;
+        Ok(Self { session, kind, measured, rig: Rig::default(), shots: vec![], paths: vec![] })
+    }
+
+    /// Reads the next shot; it must be of the same body and lens as those before. Its number in the series is the
+    /// count of those.
+    pub(super) fn read(&mut self, path: &Path) -> Result<Photo, SeriesError> {
+        let bytes = std::fs::read(path).map_err(io(path))?;
+        let photo = saturation::decode(&bytes, &path.display().to_string(), &self.measured)?;
+        let settings = &photo.settings;
+        let other = |source| SeriesError::OtherRig { path: path.to_owned(), source };
+        self.rig.same_lens(settings, "the first shot").map_err(other)?;
+        let blake3 = store::digest(&bytes);
+        if let Some(at) = self.shots.iter().position(|shot| shot.blake3 == blake3) {
+            return Err(SeriesError::Twice { path: path.to_owned(), other: self.paths[at].clone() });
+        }
+        let told = Rig::of(settings);
+        let Rig { make, model, serial, lens } = std::mem::take(&mut self.rig);
+        self.rig = Rig {
+            make: make.or(told.make),
+            model: model.or(told.model),
+            serial: serial.or(told.serial),
+            lens: lens.or(told.lens),
+        };
+        let (shutter, aperture, iso) = (settings.shutter, settings.aperture, settings.iso);
+        let file = self.place(path, &blake3);
+        self.shots.push(Shot { file, blake3, shutter, aperture, iso, left_out: None });
+        self.paths.push(path.to_owned());
+        Ok(photo)
+    }
+
+    /// Where a shot lies in the session: where it is, or where its copy will be.
+    fn place(&self, path: &Path, blake3: &str) -> String {
+        let (root, own) = (self.session.path().canonicalize(), path.canonicalize());
+        if let (Ok(root), Ok(own)) = (root, own)
+            && let Ok(inside) = own.strip_prefix(root)
+        {
+            return inside.to_string_lossy().into_owned();
+        }
+        let name = path.file_name().map_or_else(Default::default, |name| name.to_string_lossy());
+        let mark = blake3.get(..8).unwrap_or(blake3);
+        format!("calibration/{}/{mark}_{name}", self.kind)
+    }
+
+    /// The shots read so far.
+    pub(super) fn shots(&self) -> &[Shot] {
+        &self.shots
+    }
+
+    /// Says why a shot is not used.
+    pub(super) fn leave_out(&mut self, shot: usize, why: String) {
+        self.shots[shot].left_out = Some(why);
+    }
+
+    /// Copies the shots into the session, and keeps the fit and its figure; on the disk when this returns.
+    pub(super) fn keep<T: Serialize>(
+        self,
+        fit: T,
+        verdict: Verdict,
+        figure: &Chart,
+        progress: &Progress,
+    ) -> Result<Record<T>, SeriesError> {
+        let Self { session, kind, rig, shots, paths, .. } = self;
+        let count = paths.len();
+        for (done, (shot, path)) in shots.iter().zip(&paths).enumerate() {
+            progress.check()?;
+            progress.report("copying the shots", done, count);
+            let copy = session.path().join(&shot.file);
+            if path.canonicalize().ok() == copy.canonicalize().ok() && copy.is_file() {
+                continue;
+            }
+            let bytes = std::fs::read(path).map_err(io(path))?;
+            if store::digest(&bytes) != shot.blake3 {
+                return Err(SeriesError::Changed(path.clone()));
+            }
+            session.keep(&copy, &bytes)?;
+        }
+        let measured = utc_now();
+        let software = concat!("unlit ", env!("CARGO_PKG_VERSION")).to_owned();
+        let record = Record { schema: SCHEMA, measured, software, rig, shots, verdict, fit };
+        let folder = session.calibration_dir();
+        session.keep(&folder.join(format!("{kind}.svg")), chart::picture(figure).as_bytes())?;
+        let path = file(session, kind);
+        let bytes = serde_json::to_vec_pretty(&record)
+            .map_err(|e| SeriesError::Damaged { path: path.clone(), reason: e.to_string() })?;
+        session.keep(&path, &bytes)?;
+        progress.report("copying the shots", count, count);
+        Ok(record)
+    }
+}
+
+/// A session's calibration of this kind; `None` if it was not made.
+pub(super) fn load<T: DeserializeOwned>(
+    session: &Session,
+    kind: &str,
+) -> Result<Option<Record<T>>, SeriesError> {
+    #[derive(serde::Deserialize)]
+    struct Form {
+        schema: u32,
+    }
+    let path = file(session, kind);
+    let bytes = match std::fs::read(&path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        other => other.map_err(io(&path))?,
+    };
+    let damaged = |e: serde_json::Error| SeriesError::Damaged { path: path.clone(), reason: e.to_string() };
+    let Form { schema: found } = serde_json::from_slice(&bytes).map_err(damaged)?;
+    if found > SCHEMA {
+        return Err(SeriesError::TooNew { path, found });
+    }
+    serde_json::from_slice(&bytes).map(Some).map_err(damaged)
+}
+
+fn file(session: &Session, kind: &str) -> PathBuf {
+    session.calibration_dir().join(format!("{kind}.json"))
+}
+
+fn io(path: &Path) -> impl FnOnce(std::io::Error) -> SeriesError + '_ {
+    move |source| SeriesError::Io { path: path.to_owned(), source }
+}
