@@ -3,7 +3,7 @@
 //! A calibration of the kind `levels` is `calibration/levels.json` (a [`Record`]), `calibration/levels.svg` (its
 //! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already).
 
-use super::saturation::{self, SaturationError};
+use crate::pipeline::saturation::{self, SaturationError};
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 use crate::codec::raw::{Photo, RawError};
 use crate::export::chart::{self, Chart};
