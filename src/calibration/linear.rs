@@ -24,9 +24,8 @@ pub(super) fn solve(matrix: &[Vec<f64>], right: &[f64]) -> Option<(Vec<f64>, Vec
         let pivot = rows[column][column];
         rows[column].iter_mut().for_each(|v| *v /= pivot);
         let own = rows[column].clone();
-        for (i, row) in rows.iter_mut().enumerate().filter(|(i, _)| *i != column) {
+        for (_, row) in rows.iter_mut().enumerate().filter(|(i, _)| *i != column) {
             let factor = row[column];
-            debug_assert!(i < n);
             row.iter_mut().zip(&own).for_each(|(v, o)| *v -= factor * o);
         }
     }
