@@ -99,8 +99,8 @@ pub(super) fn find(shots: &[Settings]) -> Vec<Found> {
         .map(|((moving, _), shots)| (moving, shots))
         .filter(|(moving, shots)| steps(*moving, shots) >= FEWEST)
         .collect();
-    let candidates = |shot: usize| (0..groups.len()).filter(move |&g| groups[g].1.contains(&shot));
-    let mut owners: Vec<Vec<usize>> = (0..shots.len()).map(|s| candidates(s).collect()).collect();
+    let fitting = |s: usize| (0..groups.len()).filter(|&g| groups[g].1.contains(&s)).collect::<Vec<_>>();
+    let mut owners: Vec<Vec<usize>> = (0..shots.len()).map(fitting).collect();
     let sole: Vec<Option<usize>> = owners.iter().map(|o| if o.len() == 1 { Some(o[0]) } else { None }).collect();
     let mut between = vec![];
     for shot in (0..shots.len()).filter(|&s| owners[s].len() > 1).collect::<Vec<_>>() {

@@ -196,7 +196,7 @@ fn shared_tiles(shots: &[&EvenShot]) -> Vec<(usize, usize, f64)> {
     let all = (0..first.tiles.tiles.len()).flat_map(|tile| (0..3).map(move |colour| (tile, colour)));
     all.filter_map(|(tile, colour)| {
         let of = |shot: &&EvenShot| shot.tiles.tiles.get(tile).and_then(|tile| tile[colour]);
-        let weight = of(&first)?.sites;
+        let weight = of(first)?.sites;
         shots.iter().all(|shot| of(shot).is_some()).then_some((tile, colour, weight))
     })
     .collect()
