@@ -1,8 +1,8 @@
 //! Fits from calibration shots. Plain inputs, no files.
 
 pub mod exposure;
-pub mod flat;
 mod flash;
+pub mod flat;
 mod linear;
 mod record;
 pub mod tiles;

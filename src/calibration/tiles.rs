@@ -218,9 +218,8 @@ fn line(tiles: &[[Option<Tile>; 3]], spreads: &[[Option<f64>; 3]], colour: usize
         .collect();
     let n = points.len().max(1) as f64;
     let (x, y) = points.iter().fold((0.0, 0.0), |(x, y), p| (x + p.0 / n, y + p.1 / n));
-    let (xx, xy) = points
-        .iter()
-        .fold((0.0, 0.0), |(xx, xy), p| (xx + (p.0 - x).powi(2), xy + (p.0 - x) * (p.1 - y)));
+    let (xx, xy) =
+        points.iter().fold((0.0, 0.0), |(xx, xy), p| (xx + (p.0 - x).powi(2), xy + (p.0 - x) * (p.1 - y)));
     let slope = if xx > 0.0 && x > 0.0 { (xy / xx).clamp(0.0, y / x) } else { 0.0 };
     [y - slope * x, slope]
 }

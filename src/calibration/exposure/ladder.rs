@@ -101,7 +101,8 @@ pub(super) fn find(shots: &[Settings]) -> Vec<Found> {
         .collect();
     let fitting = |s: usize| (0..groups.len()).filter(|&g| groups[g].1.contains(&s)).collect::<Vec<_>>();
     let mut owners: Vec<Vec<usize>> = (0..shots.len()).map(fitting).collect();
-    let sole: Vec<Option<usize>> = owners.iter().map(|o| if o.len() == 1 { Some(o[0]) } else { None }).collect();
+    let sole: Vec<Option<usize>> =
+        owners.iter().map(|o| if o.len() == 1 { Some(o[0]) } else { None }).collect();
     let mut between = vec![];
     for shot in (0..shots.len()).filter(|&s| owners[s].len() > 1).collect::<Vec<_>>() {
         let fits = |g: &usize| owners[shot].contains(g);
@@ -177,7 +178,10 @@ mod tests {
         ]
         .concat();
         let found = find(&shots);
-        assert_eq!(found.iter().map(|f| f.shots.as_slice()).collect::<Vec<_>>(), [&[0, 1, 2, 3][..], &[3, 4, 5]]);
+        assert_eq!(
+            found.iter().map(|f| f.shots.as_slice()).collect::<Vec<_>>(),
+            [&[0, 1, 2, 3][..], &[3, 4, 5]]
+        );
     }
 
     #[test]

@@ -55,7 +55,8 @@ impl ExposureTable {
         let mut source = ScaleSource::Same;
         for setting in Setting::ALL {
             let labels = (setting.label(one), setting.label(other));
-            let (Some(a), Some(b)) = (labels.0.map(|l| key(setting, l)), labels.1.map(|l| key(setting, l))) else {
+            let (Some(a), Some(b)) = (labels.0.map(|l| key(setting, l)), labels.1.map(|l| key(setting, l)))
+            else {
                 continue;
             };
             if a == b {

@@ -1,0 +1,104 @@
+//! The exposure table of a session: ladders of shots in, `calibration/exposure.json` out.
+
+use super::{Series, SeriesError, load as load_record};
+use crate::calibration::exposure::{
+    ExposureCalibration, ExposureFitError, LadderShot, MeasuredScale, fit_exposure,
+};
+use crate::calibration::tiles::{Tiles, TooSmall};
+use crate::calibration::{OtherRig, Record};
+use crate::export::chart::{Chart, Series as Points};
+use crate::pair::Settings;
+use crate::progress::Progress;
+use crate::session::Session;
+use std::path::PathBuf;
+
+/// Name of the calibration among a session's.
+const KIND: &str = "exposure";
+
+/// Why there is no exposure table.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExposureError {
+    /// The shots could not be read or kept.
+    #[error(transparent)]
+    Series(#[from] SeriesError),
+    /// A shot is too small.
+    #[error("{}: {source}", path.display())]
+    TooSmall {
+        /// The shot.
+        path: PathBuf,
+        /// Its size.
+        source: TooSmall,
+    },
+    /// The shots make no table.
+    #[error(transparent)]
+    Fit(#[from] ExposureFitError),
+}
+
+/// Measures the steps of all ladders among the shots, given in the order in which they were taken, and keeps them.
+pub fn calibrate(
+    session: &Session,
+    shots: &[PathBuf],
+    progress: &Progress,
+) -> Result<Record<ExposureCalibration>, ExposureError> {
+    let mut series = Series::new(session, KIND)?;
+    let mut read = vec![];
+    for (done, path) in shots.iter().enumerate() {
+        progress.check().map_err(SeriesError::from)?;
+        progress.report("reading the ladders", done, shots.len());
+        let photo = series.read(path)?;
+        let small = |source| ExposureError::TooSmall { path: path.clone(), source };
+        let tiles = Tiles::of(&photo.mosaic).map_err(small)?;
+        read.push(LadderShot { settings: photo.settings, tiles });
+    }
+    let (fit, left_out) = fit_exposure(&read)?;
+    let verdict = fit.verdict(left_out.len());
+    for (shot, why) in left_out {
+        series.leave_out(shot, why);
+    }
+    let figure = figure(&fit);
+    Ok(series.keep(fit, verdict, &figure, progress)?)
+}
+
+/// The session's table; `None` if it was not measured.
+pub fn load(session: &Session) -> Result<Option<Record<ExposureCalibration>>, SeriesError> {
+    load_record(session, KIND)
+}
+
+/// How light scales with settings for a session's photographs.
+#[derive(Clone, Debug, Default)]
+pub struct SessionScale {
+    record: Option<Record<ExposureCalibration>>,
+}
+
+impl SessionScale {
+    /// By the session's table if it has one.
+    pub fn load(session: &Session) -> Result<Self, SeriesError> {
+        Ok(Self { record: load(session)?.filter(|record| record.verdict.good) })
+    }
+
+    /// The scale for frames with these settings: what the labels stand for, without a table; an error if the table is
+    /// of another body.
+    pub fn of(&self, settings: &Settings) -> Result<MeasuredScale, OtherRig> {
+        match &self.record {
+            Some(record) => MeasuredScale::for_frame(record, settings),
+            None => Ok(MeasuredScale::default()),
+        }
+    }
+}
+
+fn figure(fit: &ExposureCalibration) -> Chart {
+    let series = fit.ladders.iter().map(|ladder| {
+        let points = ladder.steps.iter().map(|step| {
+            let half = (step.deviation_95[1] - step.deviation_95[0]) / 2.0;
+            (step.step_thirds, 100.0 * step.deviation, 100.0 * half)
+        });
+        Points { name: ladder.setting.name().into(), points: points.collect() }
+    });
+    Chart {
+        caption: "Measured factor of each step against the ideal 2^(k/3), with its 95 % interval.".into(),
+        across: "thirds of a stop above the darkest step".into(),
+        up: "deviation, %".into(),
+        series: series.collect(),
+    }
+}
