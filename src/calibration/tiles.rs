@@ -13,6 +13,7 @@
 //! noise has lifted over a limit would make the rest too dark. Single clipped sites in a dark tile are defects of the
 //! sensor and are left out.
 
+use crate::pair::Settings;
 use crate::photometry::{Cfa, Mosaic};
 
 /// Most tiles along a side.
@@ -46,10 +47,17 @@ pub struct Tiles {
     pub grid: (usize, usize),
     /// Row by row, by colour (R, G, B); none where over-exposed, or where the filter array has no such colour.
     pub tiles: Vec<[Option<Tile>; 3]>,
-    /// By colour: variance of a single site is the first, DN^2, plus the second, DN, times the mean.
-    pub noise: [[f64; 2]; 3],
     /// Share of tiles and colours that are over-exposed, 0 to 1.
     pub over_exposed: f64,
+}
+
+/// A frame of something even, reduced.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EvenFrame {
+    /// What its file tells.
+    pub settings: Settings,
+    /// Its light.
+    pub tiles: Tiles,
 }
 
 /// The frame is too small to be divided.
@@ -97,14 +105,16 @@ impl Tiles {
             tiles.push(tile);
             spreads.push(spread);
         }
-        let noise = [0, 1, 2].map(|colour| line(&tiles, &spreads, colour));
+        let lines = [0, 1, 2].map(|colour| line(&tiles, &spreads, colour));
         for (colour, tile) in tiles.iter_mut().flat_map(|tile| tile.iter_mut().enumerate()) {
             if let Some(tile) = tile {
-                tile.variance = of_site(noise[colour], tile.mean) / tile.sites;
+                // Rounding to whole DN is noise too.
+                let [constant, slope] = lines[colour];
+                tile.variance = (constant + slope * tile.mean).max(1.0 / 12.0) / tile.sites;
             }
         }
         let over_exposed = if all > 0.0 { lost / all } else { 1.0 };
-        Ok(Self { size: (width, height), cfa: frame.cfa, grid, tiles, noise, over_exposed })
+        Ok(Self { size: (width, height), cfa: frame.cfa, grid, tiles, over_exposed })
     }
 
     /// Mean above black of each colour over the tiles that are not over-exposed, DN; `None` without any.
@@ -114,28 +124,6 @@ impl Tiles {
             let sites: f64 = tiles().map(|t| t.sites).sum();
             (sites > 0.0).then(|| tiles().map(|t| t.sites * t.mean).sum::<f64>() / sites)
         })
-    }
-
-    /// Mean over a colour's sites of one tile of (r / half diagonal)^2, r being the distance from the frame's middle;
-    /// `None` if the filter array has no such colour.
-    pub fn field_q(&self, tile: usize, colour: usize) -> Option<f64> {
-        let reach = self.reach(tile);
-        let middle = [self.size.0 as f64 / 2.0, self.size.1 as f64 / 2.0];
-        let (mut sum, mut positions) = (0.0, 0.0);
-        for (py, px) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-            if usize::from(self.cfa.0[py][px]) != colour {
-                continue;
-            }
-            for ((from, to), (middle, offset)) in reach.iter().zip(middle.iter().zip([px, py])) {
-                // Sites of one position lie two apart: n of them spread by (n^2 - 1) / 3 about their middle.
-                let n = ((to - from) / 2) as f64;
-                let centre = *from as f64 + offset as f64 + 0.5 + (n - 1.0) - middle;
-                sum += centre * centre + (n * n - 1.0) / 3.0;
-            }
-            positions += 1.0;
-        }
-        let half = middle[0] * middle[0] + middle[1] * middle[1];
-        (positions > 0.0).then(|| sum / positions / half)
     }
 
     /// The sites that a tile reaches over: first and last but one, across and down.
@@ -204,12 +192,7 @@ fn measure(
     Some(((!over).then_some(light / sites), variance, sites))
 }
 
-/// Variance of a single site at a mean above black, DN^2, by [`Tiles::noise`]. Rounding to whole DN is noise too.
-pub(super) fn of_site(noise: [f64; 2], mean: f64) -> f64 {
-    (noise[0] + noise[1] * mean).max(1.0 / 12.0)
-}
-
-/// The line through the tiles' own variances: constant and slope.
+/// The line through the tiles' own variances of a single site: constant, DN^2, and slope against the mean, DN.
 fn line(tiles: &[[Option<Tile>; 3]], spreads: &[[Option<f64>; 3]], colour: usize) -> [f64; 2] {
     let points: Vec<(f64, f64)> = tiles
         .iter()
@@ -250,26 +233,6 @@ mod tests {
         assert_eq!(tiles.reach(96 * 41 - 1).map(|r| r.1), [1002, 334]);
         assert_eq!(tiles.means(), [Some(500.0); 3]);
         assert_eq!(Tiles::of(&frame(6, 80, |_, _| 600)), Err(TooSmall(6, 80)));
-    }
-
-    #[test]
-    fn a_tiles_place_in_the_field_is_the_mean_over_its_own_sites() {
-        let tiles = Tiles::of(&frame(64, 40, |_, _| 600)).unwrap();
-        for (tile, colour) in [(0, 0), (3, 1), (17, 2), (39, 1)] {
-            let [x, y] = tiles.reach(tile);
-            let sites: Vec<(usize, usize)> = (y.0..y.1)
-                .flat_map(|row| (x.0..x.1).map(move |column| (column, row)))
-                .filter(|&(column, row)| Cfa::RGGB.colour(column, row) == colour)
-                .collect();
-            let q = |&(column, row): &(usize, usize)| {
-                let (x, y) = (column as f64 + 0.5 - 32.0, row as f64 + 0.5 - 20.0);
-                (x * x + y * y) / (32.0 * 32.0 + 20.0 * 20.0)
-            };
-            let expected = sites.iter().map(q).sum::<f64>() / sites.len() as f64;
-            let found = tiles.field_q(tile, colour).unwrap();
-            assert!((found - expected).abs() < 1e-12, "{tile} {colour}: {found}, not {expected}");
-        }
-        assert_eq!(tiles.field_q(0, 3), None);
     }
 
     #[test]

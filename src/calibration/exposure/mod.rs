@@ -31,7 +31,7 @@ pub use table::{ExposureTable, ScaleSource};
 
 use super::Verdict;
 use super::linear::t_975;
-use super::tiles::Tiles;
+use super::tiles::{EvenFrame, Tiles};
 use crate::pair::Settings;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -54,15 +54,6 @@ pub const THESIS: [Summary; 3] = [
     Summary { mean: 0.0028, max: 0.0915, min: 0.0314, sd: 0.0593 },
     Summary { mean: -0.0056, max: 0.0236, min: 0.0016, sd: 0.0115 },
 ];
-
-/// One shot, reduced.
-#[derive(Clone, Debug, PartialEq)]
-pub struct EvenShot {
-    /// Its labels.
-    pub settings: Settings,
-    /// Its light.
-    pub tiles: Tiles,
-}
 
 /// Deviations of one setting, unit-free, as the thesis's table 3.2 has them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -89,7 +80,7 @@ pub struct Step {
     /// Measured factor over the ideal one, less 1. Exactly 0 at step 00.
     pub deviation: f64,
     /// 95 % interval of the deviation.
-    pub deviation_interval: [f64; 2],
+    pub deviation_95: [f64; 2],
     /// Shots that it is the mean of.
     pub shots: usize,
     /// Share of tiles and colours that were compared with step 00, 0 to 1.
@@ -127,6 +118,9 @@ pub struct ExposureFit {
 /// Why no table came out.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ExposureFitError {
+    /// Shots of different sizes.
+    #[error("the shots have different sizes ({} x {} and {} x {} pixels); give full frames of one camera", .0.0, .0.1, .1.0, .1.1)]
+    Sizes((usize, usize), (usize, usize)),
     /// No ladder in the shots.
     #[error(
         "no ladder is among the {shots} usable shots of {given}: three labels or more of one setting are needed that share the other two (ISO, shutter, aperture) and are neither over-exposed nor dark{first}"
@@ -145,7 +139,10 @@ pub enum ExposureFitError {
 pub type Fitted = (ExposureFit, Vec<Option<String>>);
 
 /// Finds the ladders and measures them. `shots` in the order in which they were taken, all of one size.
-pub fn fit_exposure(shots: &[EvenShot]) -> Result<Fitted, ExposureFitError> {
+pub fn fit_exposure(shots: &[EvenFrame]) -> Result<Fitted, ExposureFitError> {
+    if let Some(pair) = shots.windows(2).find(|pair| pair[0].tiles.size != pair[1].tiles.size) {
+        return Err(ExposureFitError::Sizes(pair[0].tiles.size, pair[1].tiles.size));
+    }
     let mut left_out: Vec<Option<String>> = shots.iter().map(|shot| unfit(&shot.tiles)).collect();
     let usable: Vec<usize> = (0..shots.len()).filter(|&s| left_out[s].is_none()).collect();
     let settings: Vec<Settings> = usable.iter().map(|&s| shots[s].settings.clone()).collect();
@@ -191,18 +188,18 @@ struct Light {
 }
 
 /// Tiles and colours that all these shots have, as (tile, colour, weight).
-fn shared_tiles(shots: &[&EvenShot]) -> Vec<(usize, usize, f64)> {
+fn shared_tiles(shots: &[&EvenFrame]) -> Vec<(usize, usize, f64)> {
     let Some(first) = shots.first() else { return vec![] };
     let all = (0..first.tiles.tiles.len()).flat_map(|tile| (0..3).map(move |colour| (tile, colour)));
     all.filter_map(|(tile, colour)| {
-        let of = |shot: &&EvenShot| shot.tiles.tiles.get(tile).and_then(|tile| tile[colour]);
+        let of = |shot: &&EvenFrame| shot.tiles.tiles.get(tile).and_then(|tile| tile[colour]);
         let weight = of(first)?.sites;
         shots.iter().all(|shot| of(shot).is_some()).then_some((tile, colour, weight))
     })
     .collect()
 }
 
-fn light(shot: &EvenShot, over: &[(usize, usize, f64)]) -> Light {
+fn light(shot: &EvenFrame, over: &[(usize, usize, f64)]) -> Light {
     let (mut sum, mut variance) = (0.0, 0.0);
     for &(tile, colour, weight) in over {
         if let Some(tile) = shot.tiles.tiles[tile][colour] {
@@ -225,18 +222,18 @@ struct Raw {
     pattern_sd: f64,
 }
 
-fn measure(found: &ladder::Found, shots: &[EvenShot]) -> Option<Ladder> {
+fn measure(found: &ladder::Found, shots: &[EvenFrame]) -> Option<Ladder> {
     let setting = found.setting;
     let label = |s: usize| setting.label(&shots[s].settings);
     let mut steps: BTreeMap<i64, Vec<usize>> = BTreeMap::new();
     for &shot in &found.shots {
         steps.entry(ladder::key(setting, label(shot)?)).or_default().push(shot);
     }
-    let base: Vec<&EvenShot> = steps.values().next()?.iter().map(|&s| &shots[s]).collect();
+    let base: Vec<&EvenFrame> = steps.values().next()?.iter().map(|&s| &shots[s]).collect();
     let (mut raw, mut scatter, mut freedom) = (vec![], 0.0, 0usize);
     for (number, own) in steps.values().enumerate() {
         let label = label(*own.first()?)?;
-        let own: Vec<&EvenShot> = own.iter().map(|&s| &shots[s]).collect();
+        let own: Vec<&EvenFrame> = own.iter().map(|&s| &shots[s]).collect();
         let over = shared_tiles(&[base.clone(), own.clone()].concat());
         let all = own.first()?.tiles.tiles.len() as f64 * 3.0;
         let lights: Vec<Light> = own.iter().map(|shot| light(shot, &over)).collect();
@@ -300,7 +297,7 @@ fn steps_of(raw: &[Raw], scatter: Option<f64>, freedom: usize) -> Vec<Step> {
             step_thirds: (3e6 * stops).round() / 1e6,
             factor: own.factor,
             deviation: ratio - 1.0,
-            deviation_interval: [ratio - 1.0 - half, ratio - 1.0 + half],
+            deviation_95: [ratio - 1.0 - half, ratio - 1.0 + half],
             shots: own.shots,
             frame_share: own.frame_share,
             pattern_sd: own.pattern_sd,
@@ -310,10 +307,10 @@ fn steps_of(raw: &[Raw], scatter: Option<f64>, freedom: usize) -> Vec<Step> {
 }
 
 /// Standard deviation over the tiles of (light / (factor * light of step 00) - 1) beyond noise; 0 if noise explains it.
-fn pattern(own: &[&EvenShot], base: &[&EvenShot], over: &[(usize, usize, f64)], factor: f64) -> f64 {
+fn pattern(own: &[&EvenFrame], base: &[&EvenFrame], over: &[(usize, usize, f64)], factor: f64) -> f64 {
     let (mut squares, mut weights, mut n) = (0.0, 0.0, 0.0);
     for &(tile, colour, _) in over {
-        let mean = |shots: &[&EvenShot]| {
+        let mean = |shots: &[&EvenFrame]| {
             let tiles: Vec<_> = shots.iter().filter_map(|shot| shot.tiles.tiles[tile][colour]).collect();
             let n = tiles.len().max(1) as f64;
             let variance = tiles.iter().map(|t| t.variance).sum::<f64>() / (n * n);

@@ -2,6 +2,7 @@
 
 use super::ladder::key;
 use super::{ExposureFit, Setting};
+use crate::calibration::{OtherRig, Record};
 use crate::pair::Settings;
 use crate::photometry::apex::{ExposureScale, Nominal};
 use crate::units::{FNumber, Iso, Seconds};
@@ -48,6 +49,14 @@ impl ExposureTable {
             }
         }
         Self { corrections }
+    }
+
+    /// The table for frames with these settings. Refused for another body; through another lens the apertures are left
+    /// out, whose steps are the lens's.
+    pub fn for_frame(record: &Record<ExposureFit>, settings: &Settings) -> Result<Self, OtherRig> {
+        let of = "the exposure calibration";
+        record.rig.same_body(settings, of)?;
+        Ok(Self::of(&record.fit, record.rig.same_lens(settings, of).is_ok()))
     }
 
     /// Where the ratio of these two exposures comes from.

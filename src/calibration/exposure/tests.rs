@@ -47,7 +47,6 @@ fn even(light: f64, noise: [f64; 2], random: &mut ChaCha8Rng) -> Tiles {
         cfa: Cfa::RGGB,
         grid: (columns, rows),
         tiles,
-        noise: [noise; 3],
         over_exposed: over / all,
     }
 }
@@ -60,14 +59,14 @@ fn ladder(
     repeats: usize,
     jitter: f64,
     random: &mut ChaCha8Rng,
-) -> Vec<EvenShot> {
+) -> Vec<EvenFrame> {
     let mut shots = vec![];
     for (step, deviation) in deviations.iter().enumerate() {
         for _ in 0..repeats {
             let light = dark * (step as f64 / 3.0).exp2() * (1.0 + deviation);
             let light = light * (1.0 + jitter * normal(random));
             let gain = if setting == Setting::Iso { 0.3 * (step as f64 / 3.0).exp2() } else { 0.3 };
-            shots.push(EvenShot {
+            shots.push(EvenFrame {
                 settings: settings(setting, step),
                 tiles: even(light, [3.0, gain], random),
             });
@@ -93,7 +92,7 @@ fn a_thousand_random_ladders_come_back_inside_their_intervals() {
         let used = left_out.iter().filter(|why| why.is_none()).count();
         assert_eq!(fit.ladders[0].steps.len(), used);
         for (step, truth) in fit.ladders[0].steps.iter().zip(truth).skip(1) {
-            let [low, high] = step.deviation_interval;
+            let [low, high] = step.deviation_95;
             inside += u32::from(low <= truth && truth <= high);
             all += 1;
             assert!((step.deviation - truth).abs() < 0.02, "{step:?}, not {truth}");
@@ -115,7 +114,7 @@ fn scatter_between_repeats_is_in_the_interval_if_it_was_shot() {
         sd += ladder.repeat_sd.unwrap().powi(2) / 300.0;
         for (step, truth) in ladder.steps.iter().zip(truth).skip(1) {
             assert_eq!(step.shots, 3);
-            let [low, high] = step.deviation_interval;
+            let [low, high] = step.deviation_95;
             inside += u32::from(low <= truth && truth <= high);
             all += 1;
         }
@@ -143,7 +142,7 @@ fn without_noise_the_figures_are_those_of_the_table_by_hand() {
         assert!((step.deviation - truth).abs() < 1e-12);
     }
     assert_eq!(ladder.steps[3].step_thirds, 3.0);
-    assert_eq!(ladder.steps[0].deviation_interval, [0.0; 2]);
+    assert_eq!(ladder.steps[0].deviation_95, [0.0; 2]);
     let Summary { mean, max, min, sd } = ladder.summary;
     assert!((mean - 0.0).abs() < 1e-12 && (max - 0.03).abs() < 1e-12 && (min - 0.01).abs() < 1e-12);
     assert!((sd - (0.0014f64 / 2.0).sqrt()).abs() < 1e-12, "{sd}");

@@ -1,13 +1,13 @@
 //! The curve, its order and its errors.
 
-use super::{EvenFrame, FValues, Figure, FlatCalibration, FlatField, FlatFitError, KEEP, same_optics};
+use super::{FValues, Figure, FlatCalibration, FlatField, FlatFitError, KEEP, same_optics};
 use crate::calibration::linear::solve;
-use crate::calibration::tiles::{Tile, Tiles};
+use crate::calibration::tiles::{EvenFrame, Tile, Tiles};
 
 /// Largest relative standard error of a frame's mean light that is a measurement.
 const DARKEST: f64 = 0.02;
-/// Largest share of a frame's tiles and colours that may be over-exposed.
-const MOST_OVER: f64 = 0.5;
+/// Largest share of a frame's tiles and colours that may be over-exposed: what one frame lacks, none can give.
+const MOST_OVER: f64 = 0.02;
 /// Least tiles of a colour.
 const FEWEST: usize = 24;
 /// Least light at q = 1 against the centre that a lens gives.
@@ -43,6 +43,8 @@ struct Fit {
     covariance: Vec<Vec<f64>>,
     chi2: f64,
     freedom: f64,
+    /// What the next higher order would change at the corner.
+    selection: f64,
 }
 
 /// Fits the flat field to frames in any number. Gives it, and for each frame left out its place and why.
@@ -113,7 +115,7 @@ fn points(frames: &[&Tiles]) -> Vec<Point> {
             let value = all.iter().map(|t| t.mean).sum();
             let variance: f64 = all.iter().map(|t| t.variance).sum();
             if variance > 0.0 {
-                let (powers, place) = geometry(first, tile);
+                let (powers, place) = geometry(first, tile, colour);
                 out.push(Point { tile, colour, powers, place, value, variance });
             }
         }
@@ -121,8 +123,8 @@ fn points(frames: &[&Tiles]) -> Vec<Point> {
     out
 }
 
-/// Means of q, q^2, q^3 over a tile (three Gauss points a side) and its centre.
-fn geometry(tiles: &Tiles, tile: usize) -> ([f64; 3], [f64; 2]) {
+/// Means of q, q^2, q^3 over a colour's sites of a tile (three Gauss points a side) and the tile's centre.
+fn geometry(tiles: &Tiles, tile: usize, colour: usize) -> ([f64; 3], [f64; 2]) {
     const POINTS: [(f64, f64); 3] =
         [(-0.774_596_669_241_483_4, 5.0 / 18.0), (0.0, 8.0 / 18.0), (0.774_596_669_241_483_4, 5.0 / 18.0)];
     let half = [tiles.size.0 as f64 / 2.0, tiles.size.1 as f64 / 2.0];
@@ -130,10 +132,17 @@ fn geometry(tiles: &Tiles, tile: usize) -> ([f64; 3], [f64; 2]) {
     let reach = tiles.reach(tile);
     let middle: [f64; 2] = [0, 1].map(|a| (reach[a].0 + reach[a].1) as f64 / 2.0 - half[a]);
     let extent: [f64; 2] = [0, 1].map(|a| (reach[a].1 - reach[a].0) as f64 / 2.0);
+    // A colour's sites lie half a site beside the middle of their filter cell, unless they are on its diagonal.
+    let cells = [(0, 0), (0, 1), (1, 0), (1, 1)];
+    let own = cells.into_iter().filter(|&(y, x)| usize::from(tiles.cfa.0[y][x]) == colour);
+    let (n, sum) = own.fold((0.0f64, [0.0; 2]), |(n, [a, b]), (y, x)| (n + 1.0, [a + x as f64, b + y as f64]));
+    let aside = sum.map(|s| s / n.max(1.0) - 0.5);
     let mut powers = [0.0; 3];
     for (u, wu) in POINTS {
         for (v, wv) in POINTS {
-            let q = ((middle[0] + u * extent[0]).powi(2) + (middle[1] + v * extent[1]).powi(2)) / diagonal;
+            let x = middle[0] + aside[0] + u * extent[0];
+            let y = middle[1] + aside[1] + v * extent[1];
+            let q = (x * x + y * y) / diagonal;
             powers.iter_mut().enumerate().for_each(|(n, p)| *p += wu * wv * q.powi(n as i32 + 1));
         }
     }
@@ -151,7 +160,8 @@ fn choose(points: &[Point], colours: &[usize]) -> Option<(Fit, FValues)> {
         if f > KEEP {
             break;
         }
-        fit = lesser;
+        let change = fit.field.at_q(1.0, 0) - lesser.field.at_q(1.0, 0);
+        fit = Fit { selection: change, ..lesser };
     }
     if fit.order > 0
         && colours.len() > 1
@@ -161,7 +171,7 @@ fn choose(points: &[Point], colours: &[usize]) -> Option<(Fit, FValues)> {
         let f = (fit.chi2 - own.chi2) / more / (own.chi2 / own.freedom);
         values.per_channel = Some(f);
         if COLOURS_KEEP.get(fit.order - 1).is_some_and(|limit| f > *limit) {
-            fit = own;
+            fit = Fit { selection: fit.selection, ..own };
         }
     }
     Some((fit, values))
@@ -226,6 +236,7 @@ fn solve_model(points: &[Point], colours: &[usize], order: usize, per_channel: b
         covariance,
         chi2: chi2.max(f64::MIN_POSITIVE),
         freedom,
+        selection: 0.0,
     };
     for colour in 0..3 {
         for n in 0..order {
@@ -248,19 +259,20 @@ fn told_by(
     colours: &[usize],
 ) -> FlatCalibration {
     let excess = (fit.chi2 / fit.freedom).max(1.0);
-    let figure = |value: f64, variance: f64| {
-        let half = 1.96 * (variance.max(0.0) * excess).sqrt();
+    let figure = |value: f64, variance: f64, more: f64| {
+        let half = 1.96 * (variance.max(0.0) * excess + more * more).sqrt();
         Figure { value, interval_95: [value - half, value + half] }
     };
     let corner = std::array::from_fn(|c| {
         let first = place(fit.order, colours, fit.per_channel, c, 0);
         let own = first..first + fit.order;
         let variance = own.clone().flat_map(|i| own.clone().map(move |j| (i, j)));
-        figure(fit.field.at_q(1.0, c), variance.map(|(i, j)| fit.covariance[i][j]).sum())
+        let variance = variance.map(|(i, j)| fit.covariance[i][j]).sum();
+        figure(fit.field.at_q(1.0, c), variance, fit.selection)
     });
     let gradient_at = fit.covariance.len() - 2;
     let light_gradient =
-        [0, 1].map(|a| figure(fit.gradient[a], fit.covariance[gradient_at + a][gradient_at + a]));
+        [0, 1].map(|a| figure(fit.gradient[a], fit.covariance[gradient_at + a][gradient_at + a], 0.0));
     let model = |p: &Point| {
         let [a, b, c] = fit.field.coefficients[p.colour];
         let curve = a * p.powers[0] + b * p.powers[1] + c * p.powers[2];

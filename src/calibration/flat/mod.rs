@@ -6,8 +6,8 @@
 //! x_c = s_c V(q) (light),    V(q) = 1 + a1 q + a2 q^2 + a3 q^3,    q = (r / half diagonal)^2
 //! ```
 //!
-//! which is 1 at the frame's centre. Even powers of r are those that a rotationally symmetric lens has (as in Adobe's lens profiles
-//! and DNG's FixVignetteRadial). The light itself may slope across the frame: a plane through the centre is fitted with
+//! which is 1 at the frame's centre. Even powers of r are those that a rotationally symmetric lens has (DNG's
+//! FixVignetteRadial has the same). The light itself may slope across the frame: a plane through the centre is fitted with
 //! the curve, as `x_c = s_c (V(q) + g_x X + g_y Y)`, X and Y from -1 to 1 over the frame. Light that is brighter or
 //! darker in the middle cannot be told from vignetting: turn the camera by 90 and 180 degrees between frames, or take
 //! a lit surface much larger than the frame.
@@ -16,7 +16,8 @@
 //! least squares by each tile's noise (Gauss and Newton; the model is linear but for the products with s). The order is
 //! the least that the data want: the highest coefficient goes while leaving it out raises chi^2 by less than F(1) allows
 //! ([`KEEP`]); then curves of each colour are tried against a common one. Standard errors are those of the fit, raised by
-//! the root of chi^2 per degree of freedom where the residuals are more than noise.
+//! the root of chi^2 per degree of freedom where the residuals are more than noise. The corner's interval holds the choice
+//! of the order too: its variance is that of the fit plus the square of what the next higher order would change.
 
 mod fit;
 #[cfg(test)]
@@ -25,7 +26,6 @@ mod words;
 
 pub use fit::fit_flat;
 
-use crate::calibration::tiles::Tiles;
 use crate::calibration::{OtherRig, Rig};
 use crate::pair::Settings;
 use crate::photometry::apex::{ExposureScale, Nominal};
@@ -35,15 +35,6 @@ use serde::{Deserialize, Serialize};
 
 /// F value from which on a coefficient is kept.
 pub const KEEP: f64 = 4.0;
-
-/// A frame of something even.
-#[derive(Clone, Debug)]
-pub struct EvenFrame {
-    /// What its file tells.
-    pub settings: Settings,
-    /// Its light.
-    pub tiles: Tiles,
-}
 
 /// Vignetting over the frame, 1 at its centre, by colour.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

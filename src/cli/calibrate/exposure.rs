@@ -1,7 +1,7 @@
 //! `unlit calibrate exposure`: what the steps of ISO, shutter and aperture truly do.
 
 use crate::calibration::Record;
-use crate::calibration::exposure::{ExposureCalibration, Summary, THESIS};
+use crate::calibration::exposure::{ExposureFit, Setting, Summary, THESIS};
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pipeline::calibrate::exposure::calibrate;
 use std::path::PathBuf;
@@ -38,7 +38,7 @@ pub(super) fn run(args: &ExposureArgs) -> CliResult {
     Ok(Exit::Success)
 }
 
-fn human(record: &Record<ExposureCalibration>) -> String {
+fn human(record: &Record<ExposureFit>) -> String {
     let mut text = String::new();
     record.verdict.sentences.iter().for_each(|sentence| text += &format!("{sentence}\n"));
     for ladder in &record.fit.ladders {
@@ -57,7 +57,7 @@ fn human(record: &Record<ExposureCalibration>) -> String {
                 "{:<10}{:>5}{:>10.4}{:>10.4}{:>+10.3} %{:>10.3} %\n",
                 ladder.setting.words(step.label),
                 step.step_thirds,
-                step.ideal,
+                step.factor / (1.0 + step.deviation),
                 step.factor,
                 100.0 * step.deviation,
                 100.0 * half
@@ -66,14 +66,16 @@ fn human(record: &Record<ExposureCalibration>) -> String {
     }
     text += &format!("\n{:<22}{:>9}{:>9}{:>9}{:>9}\n", "deviations (table 3.2)", "mean", "max", "min", "SD");
     let row = |name: String, s: &Summary| {
-        format!("{name:<22}{:>9.4}{:>9.4}{:>9.4}{:>9.4}\n", s.mean, s.max, s.min, s.standard_deviation)
+        format!("{name:<22}{:>9.4}{:>9.4}{:>9.4}{:>9.4}\n", s.mean, s.max, s.min, s.sd)
     };
-    for (setting, thesis) in &THESIS {
-        for ladder in record.fit.ladders.iter().filter(|l| l.setting == *setting) {
-            text += &row(setting.name().into(), &ladder.summary);
+    for (setting, thesis) in Setting::ALL.into_iter().zip(&THESIS) {
+        for ladder in record.fit.ladders.iter().filter(|l| l.setting == setting) {
+            text += &row(format!("{}, from step 00", setting.name()), &ladder.summary);
+            text += &row("  step from step".into(), &ladder.between_steps);
         }
-        text += &row("  in the thesis".into(), thesis);
+        text += &row(format!("  {} in the thesis", setting.name()), thesis);
     }
+    text += "mean with its sign, max and min of the magnitudes; step 00 itself is not counted\n";
     for shot in &record.shots {
         if let Some(why) = &shot.left_out {
             text += &format!("left out {}: {why}\n", shot.file);

@@ -2,9 +2,9 @@
 
 use super::{Series, SeriesError, load as load_record};
 use crate::calibration::exposure::{
-    ExposureCalibration, ExposureFitError, LadderShot, MeasuredScale, fit_exposure,
+    ExposureFit, ExposureFitError, ExposureTable, fit_exposure, verdict,
 };
-use crate::calibration::tiles::{Tiles, TooSmall};
+use crate::calibration::tiles::{EvenFrame, Tiles, TooSmall};
 use crate::calibration::{OtherRig, Record};
 use crate::export::chart::{Chart, Series as Points};
 use crate::pair::Settings;
@@ -40,7 +40,7 @@ pub fn calibrate(
     session: &Session,
     shots: &[PathBuf],
     progress: &Progress,
-) -> Result<Record<ExposureCalibration>, ExposureError> {
+) -> Result<Record<ExposureFit>, ExposureError> {
     let mut series = Series::new(session, KIND)?;
     let mut read = vec![];
     for (done, path) in shots.iter().enumerate() {
@@ -49,26 +49,28 @@ pub fn calibrate(
         let photo = series.read(path)?;
         let small = |source| ExposureError::TooSmall { path: path.clone(), source };
         let tiles = Tiles::of(&photo.mosaic).map_err(small)?;
-        read.push(LadderShot { settings: photo.settings, tiles });
+        read.push(EvenFrame { settings: photo.settings, tiles });
     }
     let (fit, left_out) = fit_exposure(&read)?;
-    let verdict = fit.verdict(left_out.len());
-    for (shot, why) in left_out {
-        series.leave_out(shot, why);
+    let verdict = verdict(&fit);
+    for (shot, why) in left_out.into_iter().enumerate() {
+        if let Some(why) = why {
+            series.leave_out(shot, why);
+        }
     }
     let figure = figure(&fit);
     Ok(series.keep(fit, verdict, &figure, progress)?)
 }
 
 /// The session's table; `None` if it was not measured.
-pub fn load(session: &Session) -> Result<Option<Record<ExposureCalibration>>, SeriesError> {
+pub fn load(session: &Session) -> Result<Option<Record<ExposureFit>>, SeriesError> {
     load_record(session, KIND)
 }
 
 /// How light scales with settings for a session's photographs.
 #[derive(Clone, Debug, Default)]
 pub struct SessionScale {
-    record: Option<Record<ExposureCalibration>>,
+    record: Option<Record<ExposureFit>>,
 }
 
 impl SessionScale {
@@ -79,15 +81,15 @@ impl SessionScale {
 
     /// The scale for frames with these settings: what the labels stand for, without a table; an error if the table is
     /// of another body.
-    pub fn of(&self, settings: &Settings) -> Result<MeasuredScale, OtherRig> {
+    pub fn of(&self, settings: &Settings) -> Result<ExposureTable, OtherRig> {
         match &self.record {
-            Some(record) => MeasuredScale::for_frame(record, settings),
-            None => Ok(MeasuredScale::default()),
+            Some(record) => ExposureTable::for_frame(record, settings),
+            None => Ok(ExposureTable::default()),
         }
     }
 }
 
-fn figure(fit: &ExposureCalibration) -> Chart {
+fn figure(fit: &ExposureFit) -> Chart {
     let series = fit.ladders.iter().map(|ladder| {
         let points = ladder.steps.iter().map(|step| {
             let half = (step.deviation_95[1] - step.deviation_95[0]) / 2.0;

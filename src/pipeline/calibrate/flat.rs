@@ -2,8 +2,8 @@
 
 use super::{Series, SeriesError, load as load_record};
 use crate::calibration::Record;
-use crate::calibration::flat::{EvenFrame, FlatCalibration, FlatFitError, fit_flat};
-use crate::calibration::tiles::{Tiles, TooSmall};
+use crate::calibration::flat::{FlatCalibration, FlatFitError, fit_flat};
+use crate::calibration::tiles::{EvenFrame, Tiles, TooSmall};
 use crate::export::chart::{Chart, Series as Points};
 use crate::progress::Progress;
 use crate::session::Session;
