@@ -42,13 +42,7 @@ fn even(light: f64, noise: [f64; 2], random: &mut ChaCha8Rng) -> Tiles {
             (mean <= TOP).then_some(tile)
         }));
     }
-    Tiles {
-        size: (96, 64),
-        cfa: Cfa::RGGB,
-        grid: (columns, rows),
-        tiles,
-        over_exposed: over / all,
-    }
+    Tiles { size: (96, 64), cfa: Cfa::RGGB, grid: (columns, rows), tiles, over_exposed: over / all }
 }
 
 /// A ladder whose steps are off by `deviations`, each shot `repeats` times with scatter `jitter`.

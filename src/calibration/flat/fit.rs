@@ -135,7 +135,8 @@ fn geometry(tiles: &Tiles, tile: usize, colour: usize) -> ([f64; 3], [f64; 2]) {
     // A colour's sites lie half a site beside the middle of their filter cell, unless they are on its diagonal.
     let cells = [(0, 0), (0, 1), (1, 0), (1, 1)];
     let own = cells.into_iter().filter(|&(y, x)| usize::from(tiles.cfa.0[y][x]) == colour);
-    let (n, sum) = own.fold((0.0f64, [0.0; 2]), |(n, [a, b]), (y, x)| (n + 1.0, [a + x as f64, b + y as f64]));
+    let (n, sum) =
+        own.fold((0.0f64, [0.0; 2]), |(n, [a, b]), (y, x)| (n + 1.0, [a + x as f64, b + y as f64]));
     let aside = sum.map(|s| s / n.max(1.0) - 0.5);
     let mut powers = [0.0; 3];
     for (u, wu) in POINTS {

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 /// from dark to bright in thirds of a stop, a shot a step, the other two settings staying; change the light if you like,
 /// and do the same with the next dial. Six stops of each are enough.
 #[derive(clap::Args)]
-pub(super) struct ExposureArgs {
+pub(in crate::cli) struct ExposureArgs {
     /// Session folder.
     session: PathBuf,
     /// Raw files in the order in which they were taken; up to three ladders at once. Which setting moves is read from

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 /// frame at about half of saturation. Five frames or more, the camera turned by 90 and 180 degrees between them, so
 /// that what is uneven in the light averages out.
 #[derive(clap::Args)]
-pub(super) struct FlatArgs {
+pub(in crate::cli) struct FlatArgs {
     /// Session folder.
     session: PathBuf,
     /// Raw files of one lens, focal length and aperture; any shutter and ISO.

@@ -1,9 +1,7 @@
 //! The exposure table of a session: ladders of shots in, `calibration/exposure.json` out.
 
 use super::{Series, SeriesError, load as load_record};
-use crate::calibration::exposure::{
-    ExposureFit, ExposureFitError, ExposureTable, fit_exposure, verdict,
-};
+use crate::calibration::exposure::{ExposureFit, ExposureFitError, ExposureTable, fit_exposure, verdict};
 use crate::calibration::tiles::{EvenFrame, Tiles, TooSmall};
 use crate::calibration::{OtherRig, Record};
 use crate::export::chart::{Chart, Series as Points};
