@@ -48,7 +48,8 @@ pub(super) fn t_975(freedom: usize) -> f64 {
             let first = Z * (z2 + 1.0) / 4.0;
             let second = Z * ((5.0 * z2 + 16.0) * z2 + 3.0) / 96.0;
             let third = Z * (((3.0 * z2 + 19.0) * z2 + 17.0) * z2 - 15.0) / 384.0;
-            Z + first / n + second / (n * n) + third / (n * n * n)
+            let fourth = Z * ((((79.0 * z2 + 776.0) * z2 + 1482.0) * z2 - 1920.0) * z2 - 945.0) / 92_160.0;
+            Z + (first + (second + (third + fourth / n) / n) / n) / n
         }
     }
 }

@@ -1,7 +1,9 @@
 //! The exposure table of a session: ladders of shots in, `calibration/exposure.json` out.
 
 use super::{Series, SeriesError, load as load_record};
-use crate::calibration::exposure::{ExposureFit, ExposureFitError, ExposureTable, fit_exposure, verdict};
+use crate::calibration::exposure::{
+    ExposureFit, ExposureFitError, ExposureTable, ScaleSource, fit_exposure, verdict,
+};
 use crate::calibration::tiles::{EvenFrame, Tiles, TooSmall};
 use crate::calibration::{OtherRig, Record};
 use crate::export::chart::{Chart, Series as Points};
@@ -77,13 +79,19 @@ impl SessionScale {
         Ok(Self { record: load(session)?.filter(|record| record.verdict.good) })
     }
 
-    /// The scale for frames with these settings: what the labels stand for, without a table; an error if the table is
-    /// of another body.
-    pub fn of(&self, settings: &Settings) -> Result<ExposureTable, OtherRig> {
+    /// The scale between two exposures of one body, of which `settings` are a frame's own: what the labels stand for,
+    /// without a table or if nothing differs; else an error if the table is of another body.
+    pub fn between(&self, settings: &Settings, other: &Settings) -> Result<ExposureTable, OtherRig> {
+        let differ = ExposureTable::default().source(settings, other) != ScaleSource::Same;
         match &self.record {
-            Some(record) => ExposureTable::for_frame(record, settings),
-            None => Ok(ExposureTable::default()),
+            Some(record) if differ => ExposureTable::for_frame(record, settings),
+            _ => Ok(ExposureTable::default()),
         }
+    }
+
+    /// Everything of the table that figures depend on; absent without a table.
+    pub(in crate::pipeline) fn told(&self) -> Option<String> {
+        self.record.as_ref().map(|record| format!("{:?} {:?}", record.rig, record.fit))
     }
 }
 
