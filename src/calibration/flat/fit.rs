@@ -43,7 +43,7 @@ struct Fit {
     covariance: Vec<Vec<f64>>,
     chi2: f64,
     freedom: f64,
-    /// What the next higher order would change at the corner.
+    /// What each of the higher orders would change at the corner, root of the sum of squares.
     selection: f64,
 }
 
@@ -156,20 +156,20 @@ fn choose(points: &[Point], colours: &[usize]) -> Option<(Fit, FValues)> {
     let mut values = FValues { highest_coefficient: vec![], per_channel: None };
     while fit.order > 0 {
         let lesser = solve_model(points, colours, fit.order - 1, false)?;
-        let f = (lesser.chi2 - fit.chi2) / (fit.chi2 / fit.freedom);
+        let f = (lesser.chi2 - fit.chi2) / excess(&fit);
         values.highest_coefficient.push(f);
         if f > KEEP {
             break;
         }
         let change = fit.field.at_q(1.0, 0) - lesser.field.at_q(1.0, 0);
-        fit = Fit { selection: change, ..lesser };
+        fit = Fit { selection: fit.selection.hypot(change), ..lesser };
     }
     if fit.order > 0
         && colours.len() > 1
         && let Some(own) = solve_model(points, colours, fit.order, true)
     {
         let more = (fit.order * (colours.len() - 1)) as f64;
-        let f = (fit.chi2 - own.chi2) / more / (own.chi2 / own.freedom);
+        let f = (fit.chi2 - own.chi2) / more / excess(&own);
         values.per_channel = Some(f);
         if COLOURS_KEEP.get(fit.order - 1).is_some_and(|limit| f > *limit) {
             fit = Fit { selection: fit.selection, ..own };
@@ -250,6 +250,11 @@ fn solve_model(points: &[Point], colours: &[usize], order: usize, per_channel: b
     Some(fit)
 }
 
+/// chi^2 per degree of freedom, but no less than noise makes it: the tiles' variances are known.
+fn excess(fit: &Fit) -> f64 {
+    (fit.chi2 / fit.freedom).max(1.0)
+}
+
 fn told_by(
     points: &[Point],
     fit: &Fit,
@@ -259,7 +264,7 @@ fn told_by(
     (focal_length_mm, aperture): (Option<f64>, Option<crate::units::FNumber>),
     colours: &[usize],
 ) -> FlatCalibration {
-    let excess = (fit.chi2 / fit.freedom).max(1.0);
+    let excess = excess(fit);
     let figure = |value: f64, variance: f64, more: f64| {
         let half = 1.96 * (variance.max(0.0) * excess + more * more).sqrt();
         Figure { value, interval_95: [value - half, value + half] }

@@ -17,7 +17,7 @@
 //! the least that the data want: the highest coefficient goes while leaving it out raises chi^2 by less than F(1) allows
 //! ([`KEEP`]); then curves of each colour are tried against a common one. Standard errors are those of the fit, raised by
 //! the root of chi^2 per degree of freedom where the residuals are more than noise. The corner's interval holds the choice
-//! of the order too: its variance is that of the fit plus the square of what the next higher order would change.
+//! of the order too: its variance is that of the fit plus the squares of what each higher order would change.
 
 mod fit;
 #[cfg(test)]
