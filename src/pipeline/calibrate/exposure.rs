@@ -110,3 +110,70 @@ fn figure(fit: &ExposureFit) -> Chart {
         series: series.collect(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::exposure::{Ladder, Setting, Step, Summary};
+    use crate::calibration::{Rig, SCHEMA, Verdict};
+    use crate::photometry::apex::ExposureScale;
+    use crate::units::Iso;
+
+    fn at(model: &str, iso: f64) -> Settings {
+        Settings { model: Some(model.into()), iso: Some(Iso(iso)), ..Settings::default() }
+    }
+
+    fn record(good: bool) -> Record<ExposureFit> {
+        let step = |(label, deviation): (f64, f64)| Step {
+            label,
+            step_thirds: 0.0,
+            factor: 1.0,
+            deviation,
+            deviation_95: [deviation; 2],
+            shots: 1,
+            frame_share: 1.0,
+            pattern_sd: 0.0,
+        };
+        let none = Summary { mean: 0.0, max: 0.0, min: 0.0, sd: 0.0 };
+        let ladder = Ladder {
+            setting: Setting::Iso,
+            shared: Default::default(),
+            steps: [(100.0, 0.0), (125.0, 0.01), (200.0, 0.02)].map(step).to_vec(),
+            repeat_sd: None,
+            summary: none,
+            between_steps: none,
+        };
+        Record {
+            schema: SCHEMA,
+            measured: String::new(),
+            software: String::new(),
+            rig: Rig::of(&at("A", 100.0)),
+            shots: vec![],
+            verdict: Verdict { good, sentences: vec![] },
+            fit: ExposureFit { ladders: vec![ladder] },
+        }
+    }
+
+    #[test]
+    fn a_sessions_table_counts_for_its_body_where_settings_differ_and_if_it_is_good() {
+        let folder = tempfile::tempdir().unwrap();
+        let session = Session::create(&folder.path().join("s"), "s").unwrap();
+        let ratio = |model: &str, from: f64, to: f64| {
+            let scale = SessionScale::load(&session).unwrap();
+            scale.between(&at(model, from), &at(model, to)).map(|t| t.gain(Iso(to)) / t.gain(Iso(from)))
+        };
+        let near = |found: Result<f64, OtherRig>, wanted: f64| (found.unwrap() - wanted).abs() < 1e-12;
+        assert!(near(ratio("A", 100.0, 200.0), 2.0), "without a table");
+        let keep = |good: bool| {
+            let bytes = serde_json::to_vec(&record(good)).unwrap();
+            session.keep(&session.calibration_dir().join("exposure.json"), &bytes).unwrap();
+        };
+        keep(false);
+        assert!(near(ratio("A", 100.0, 200.0), 2.0), "a bad one");
+        keep(true);
+        assert!(near(ratio("A", 100.0, 200.0), 2.0 * 1.02));
+        assert!(ratio("B", 100.0, 200.0).unwrap_err().to_string().contains("camera model"));
+        assert!(near(ratio("B", 200.0, 200.0), 1.0), "nothing differs");
+        assert!(SessionScale::load(&session).unwrap().told().is_some());
+    }
+}
