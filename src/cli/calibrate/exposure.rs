@@ -64,9 +64,9 @@ fn human(record: &Record<ExposureFit>) -> String {
             );
         }
     }
-    text += &format!("\n{:<22}{:>9}{:>9}{:>9}{:>9}\n", "deviations (table 3.2)", "mean", "max", "min", "SD");
+    text += &format!("\n{:<24}{:>9}{:>9}{:>9}{:>9}\n", "deviations (table 3.2)", "mean", "max", "min", "SD");
     let row = |name: String, s: &Summary| {
-        format!("{name:<22}{:>9.4}{:>9.4}{:>9.4}{:>9.4}\n", s.mean, s.max, s.min, s.sd)
+        format!("{name:<24}{:>9.4}{:>9.4}{:>9.4}{:>9.4}\n", s.mean, s.max, s.min, s.sd)
     };
     for (setting, thesis) in Setting::ALL.into_iter().zip(&THESIS) {
         for ladder in record.fit.ladders.iter().filter(|l| l.setting == setting) {
