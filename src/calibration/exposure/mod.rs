@@ -34,7 +34,7 @@ use super::linear::t_975;
 use super::tiles::{EvenFrame, Tiles};
 use crate::pair::Settings;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Share of the frame that must not be over-exposed for a shot to count.
 const LEAST_FRAME: f64 = 0.02;
@@ -150,14 +150,25 @@ pub fn fit_exposure(shots: &[EvenFrame]) -> Result<Fitted, ExposureFitError> {
     for shot in found.iter_mut().flat_map(|ladder| &mut ladder.shots) {
         *shot = usable[*shot];
     }
-    let ladders: Vec<Ladder> = found.iter().filter_map(|found| measure(found, shots)).collect();
+    let (mut ladders, mut used) = (vec![], BTreeSet::new());
+    for found in &found {
+        let Some(ladder) = measure(found, shots) else { continue };
+        let step = |label: f64| ladder::key(found.setting, label);
+        let measured: BTreeSet<i64> = ladder.steps.iter().map(|s| step(s.label)).collect();
+        let label = |s: usize| found.setting.label(&shots[s].settings);
+        used.extend(found.shots.iter().filter(|&&s| label(s).is_some_and(|l| measured.contains(&step(l)))));
+        ladders.push(ladder);
+    }
     if ladders.is_empty() {
         let first = left_out.iter().flatten().next().map_or(String::new(), |why| format!("; a shot {why}"));
         return Err(ExposureFitError::NoLadder { shots: usable.len(), given: shots.len(), first });
     }
-    for shot in usable.into_iter().filter(|s| found.iter().all(|ladder| !ladder.shots.contains(s))) {
-        left_out[shot] =
-            Some("belongs to no ladder: too few shots share two of its three settings".to_owned());
+    for shot in usable.into_iter().filter(|s| !used.contains(s)) {
+        let why = match found.iter().any(|ladder| ladder.shots.contains(&shot)) {
+            true => "is over-exposed wherever the darkest step of its ladder is not",
+            false => "belongs to no ladder: too few shots share two of its three settings",
+        };
+        left_out[shot] = Some(why.to_owned());
     }
     Ok((ExposureFit { ladders }, left_out))
 }
