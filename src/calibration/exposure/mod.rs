@@ -150,7 +150,7 @@ pub fn fit_exposure(shots: &[EvenFrame]) -> Result<Fitted, ExposureFitError> {
     for shot in found.iter_mut().flat_map(|ladder| &mut ladder.shots) {
         *shot = usable[*shot];
     }
-    let (mut ladders, mut used) = (vec![], BTreeSet::new());
+    let (mut ladders, mut used) = (vec![], BTreeSet::<usize>::new());
     for found in &found {
         let Some(ladder) = measure(found, shots) else { continue };
         let step = |label: f64| ladder::key(found.setting, label);
