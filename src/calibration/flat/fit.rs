@@ -286,7 +286,7 @@ fn told_by(
     };
     let squares: f64 = points.iter().map(|p| (p.value / model(p) - 1.0).powi(2)).sum();
     let grid = used.first().map_or((1, 1), |t| t.grid);
-    let (residual_map, residual_map_noise) = map(points, &model, grid);
+    let (residual_map, residual_map_noise) = map(points, model, grid);
     let slope = |p: &Point| fit.gradient[0] * p.place[0] + fit.gradient[1] * p.place[1];
     let profile = std::array::from_fn(|c| {
         let light = |p: &Point| (p.value / fit.strength[c] - slope(p), p.variance / fit.strength[c].powi(2));
