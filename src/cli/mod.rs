@@ -1,5 +1,6 @@
 //! The command line: one file a command, each parses, calls one function of the library and prints.
 
+mod apex;
 mod calibrate;
 mod camera_host;
 mod decode_host;
@@ -106,6 +107,8 @@ enum Command {
     /// Measures the rig from calibration shots.
     #[command(subcommand)]
     Calibrate(calibrate::Calibrate),
+    /// Computes exposure values (Av, Tv, Sv, Bv, EV), and the factor between two exposures.
+    Apex(apex::Args),
     /// Turns a session's pairs into reflectance: texture, deviations and model.
     Process(process::Args),
     /// Compares a session's reflectance with a known truth.
@@ -149,6 +152,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
         Command::Serve(args) => serve::run(args, &settled),
         Command::Shoot(args) => shoot::run(args),
         Command::Calibrate(what) => calibrate::run(&what),
+        Command::Apex(args) => apex::run(&args),
         Command::Process(args) => process::run(&args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Export(args) => export::run(args),

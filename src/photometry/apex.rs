@@ -5,6 +5,7 @@
 //! a body's own steps implements [`ExposureScale`] with them.
 
 use crate::units::{FNumber, Iso, Seconds};
+use serde::Serialize;
 
 /// Largest distance in stops between a label and the step it stands for: 1/60 (0.093) is the worst in use.
 const ROUNDING: f64 = 0.1;
@@ -56,6 +57,52 @@ fn step(stops: f64, half: bool) -> f64 {
     let within = |step: &f64| (step - stops).abs() <= ROUNDING;
     let third = if half { None } else { nearest(3.0).filter(within) };
     third.or_else(|| nearest(2.0).filter(within)).unwrap_or(stops)
+}
+
+/// Reflected-light meter constant K in cd s / (m^2 ISO) of most makers (ISO 2720 allows 10.6 to 13.4).
+pub const METER_CONSTANT: f64 = 12.5;
+
+/// The additive system's values of one exposure, in stops (thesis eq. 3.1 to 3.5; Kerr 2016; ANSI PH2.5-1960). Figures
+/// are taken as they are written, not as the steps that labels stand for.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Apex {
+    /// Av = log2(N^2).
+    pub aperture_value: f64,
+    /// Tv = log2(1 / t), t in seconds.
+    pub time_value: f64,
+    /// Sv = log2(2^(-7/4) ISO).
+    pub speed_value: f64,
+    /// EV = Av + Tv.
+    pub exposure_value: f64,
+    /// Bv = EV - Sv: of the luminance that a meter would have exposed so.
+    pub brightness_value: f64,
+    /// That luminance B = 2^Bv N K with N = 2^(-7/4), cd/m^2.
+    pub luminance_cd_m2: f64,
+}
+
+impl Apex {
+    /// The values of an exposure; `meter_constant` is K, see [`METER_CONSTANT`].
+    pub fn of(shutter: Seconds, aperture: FNumber, iso: Iso, meter_constant: f64) -> Self {
+        let speed_constant = (-1.75f64).exp2();
+        let aperture_value = 2.0 * aperture.0.log2();
+        let time_value = -shutter.0.log2();
+        let speed_value = (speed_constant * iso.0).log2();
+        let exposure_value = aperture_value + time_value;
+        let brightness_value = exposure_value - speed_value;
+        let luminance_cd_m2 = brightness_value.exp2() * speed_constant * meter_constant;
+        Self { aperture_value, time_value, speed_value, exposure_value, brightness_value, luminance_cd_m2 }
+    }
+
+    /// What sensor values at this exposure are multiplied by to be those at another, in steady light:
+    /// 2^(Bv - Bv of the other) (thesis eq. 3.6), which is the ratio of t ISO / N^2.
+    pub fn factor_to(&self, other: &Self) -> f64 {
+        (self.brightness_value - other.brightness_value).exp2()
+    }
+
+    /// The same for a flash, which is over before the shutter closes: the ratio of ISO / N^2.
+    pub fn flash_factor_to(&self, other: &Self) -> f64 {
+        (self.aperture_value - other.aperture_value + other.speed_value - self.speed_value).exp2()
+    }
 }
 
 #[cfg(test)]
@@ -113,5 +160,33 @@ mod tests {
         assert!((ratio - 2.0).abs() < 1e-9);
         let ratio = Nominal.flash(FNumber(11.0), Iso(100.0)) / Nominal.flash(f8, iso);
         assert!((ratio - 0.25).abs() < 1e-9);
+    }
+
+    fn apex(shutter: f64, aperture: f64, iso: f64) -> Apex {
+        Apex::of(Seconds(shutter), FNumber(aperture), Iso(iso), METER_CONSTANT)
+    }
+
+    #[test]
+    fn the_thesiss_worked_example_is_twelve() {
+        // Eq. 3.7 to 3.9; its 11.9995 is 2^3.5849, rounded on the way.
+        let (a, b) = (apex(1.0 / 150.0, 8.0, 100.0), apex(1.0 / 100.0, 8.0, 800.0));
+        assert!((a.time_value - 7.2288).abs() < 5e-5 && (b.time_value - 6.6439).abs() < 5e-5);
+        assert!((a.speed_value - 4.8939).abs() < 5e-5 && (b.speed_value - 7.8939).abs() < 5e-5);
+        assert!((a.speed_value - a.time_value + 2.3349).abs() < 1e-4);
+        assert!((b.speed_value - b.time_value - 1.2500).abs() < 1e-4);
+        assert!((a.factor_to(&b) - 12.0).abs() < 1e-9);
+        assert!((b.factor_to(&a) - 1.0 / 12.0).abs() < 1e-9);
+        assert!((a.flash_factor_to(&b) - 8.0).abs() < 1e-9, "a flash knows no shutter");
+    }
+
+    #[test]
+    fn an_exposure_of_nothing_but_ones_is_the_metered_luminance_of_k_over_iso() {
+        let one = apex(1.0, 1.0, 100.0);
+        assert_eq!((one.aperture_value, one.time_value, one.exposure_value), (0.0, 0.0, 0.0));
+        assert!((one.luminance_cd_m2 - 0.125).abs() < 1e-12, "{one:?}");
+        let sunny = apex(1.0 / 125.0, 16.0, 100.0);
+        assert!((sunny.exposure_value - (125f64.log2() + 8.0)).abs() < 1e-12);
+        assert!((sunny.exposure_value - sunny.brightness_value - sunny.speed_value).abs() < 1e-12);
+        assert!((sunny.luminance_cd_m2 - 12.5 * 256.0 * 125.0 / 100.0).abs() < 1e-6);
     }
 }

@@ -1,6 +1,6 @@
 //! One pair's files to its known light and the lamp that made it.
 
-use crate::calibration::FlashCalibration;
+use crate::calibration::{FlashCalibration, OtherRig};
 use crate::codec::raw::RawError;
 use crate::pair::{PairRecord, Settings};
 use crate::photometry::apex::{ExposureScale, Nominal};
@@ -8,6 +8,8 @@ use crate::photometry::saturation::SaturationTable;
 use crate::photometry::{
     FlashGain, IsolateError, Known, KnownMosaic, NoiseModel, RoomLight, demosaic, isolate, isolate_mean,
 };
+use crate::pipeline::calibrate::SeriesError;
+use crate::pipeline::calibrate::exposure::SessionScale;
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
@@ -49,6 +51,19 @@ pub enum DevelopError {
         name: String,
         /// Which setting.
         setting: &'static str,
+    },
+    /// The session's exposure table cannot be read.
+    #[error(transparent)]
+    Exposure(#[from] SeriesError),
+    /// The session's exposure table is another body's.
+    #[error(
+        "pair {name} needs the exposure table, since settings differ: {source}; run `unlit calibrate exposure` with the body that took the photos, or remove calibration/exposure.json"
+    )]
+    OtherBody {
+        /// Pair.
+        name: String,
+        /// What differs.
+        source: OtherRig,
     },
     /// The photo is of another size than its camera model.
     #[error(
@@ -96,7 +111,10 @@ pub(super) fn isolated_sites(
     let folder = session.pair_dir(pair);
     let read = |file: &str| saturation::read(&folder.join(file), measured);
     let (on, off) = rayon::join(|| read(&pair.on.file), || read(&pair.off.file));
-    let scale = exposure_ratio(&pair.on.settings, &pair.off.settings)
+    let table = SessionScale::load(session)?
+        .between(&pair.on.settings, &pair.off.settings)
+        .map_err(|source| DevelopError::OtherBody { name: pair.name.clone(), source })?;
+    let scale = exposure_ratio_by(&table, &pair.on.settings, &pair.off.settings)
         .map_err(|setting| DevelopError::Lacking { name: pair.name.clone(), setting })?;
     let (on, off) = (on?.mosaic, off?.mosaic);
     let unfit = |source| DevelopError::Isolate { name: pair.name.clone(), source };
@@ -113,8 +131,12 @@ pub(super) fn isolated_sites(
 }
 
 /// The lamp as the pair's lit frame saw it: the room's light goes with t ISO / N^2, the flash's with ISO / N^2
-/// alone, because a flash is over before the shutter closes.
-pub fn lamp(pair: &PairRecord, calibration: &FlashCalibration) -> Result<Lamp, DevelopError> {
+/// alone, because a flash is over before the shutter closes. `scale` is the session's.
+pub fn lamp(
+    pair: &PairRecord,
+    calibration: &FlashCalibration,
+    scale: &SessionScale,
+) -> Result<Lamp, DevelopError> {
     let settings = &pair.on.settings;
     let unknown = |setting| DevelopError::Unknown { name: pair.name.clone(), setting };
     let ratio = |now: Option<f64>, then: Option<f64>, setting| match (now, then) {
@@ -122,7 +144,12 @@ pub fn lamp(pair: &PairRecord, calibration: &FlashCalibration) -> Result<Lamp, D
         (None, None) => Ok(1.0),
         _ => Err(unknown(setting)),
     };
-    let (iso, aperture) = (|v| Nominal.gain(Iso(v)), |v| Nominal.aperture(FNumber(v)));
+    let (iso, aperture) = (calibration.iso.map(Iso), calibration.aperture.map(FNumber));
+    let then = Settings { iso, aperture, shutter: settings.shutter, ..Settings::default() };
+    let table = scale
+        .between(settings, &then)
+        .map_err(|source| DevelopError::OtherBody { name: pair.name.clone(), source })?;
+    let (iso, aperture) = (|v| table.gain(Iso(v)), |v| table.aperture(FNumber(v)));
     let gain = ratio(settings.iso.map(|s| iso(s.0)), calibration.iso.map(iso), "ISO")?
         * ratio(settings.aperture.map(|n| aperture(n.0)), calibration.aperture.map(aperture), "aperture")?;
     Ok(Lamp {
@@ -135,14 +162,19 @@ pub fn lamp(pair: &PairRecord, calibration: &FlashCalibration) -> Result<Lamp, D
 /// S_on / S_off with S = t ISO / N^2, by what the labels stand for. What neither frame tells counts as equal; what one of them lacks is an error
 /// that names the setting.
 pub(crate) fn exposure_ratio(on: &Settings, off: &Settings) -> Result<f64, &'static str> {
+    exposure_ratio_by(&Nominal, on, off)
+}
+
+/// The same by a scale of a body's own.
+fn exposure_ratio_by(scale: &impl ExposureScale, on: &Settings, off: &Settings) -> Result<f64, &'static str> {
     let ratio = |on: Option<f64>, off: Option<f64>, setting| match (on, off) {
         (Some(on), Some(off)) => Ok(on / off),
         (None, None) => Ok(1.0),
         _ => Err(setting),
     };
-    let time = |s: &Settings| s.shutter.map(|v| Nominal.time(v));
-    let iso = |s: &Settings| s.iso.map(|v| Nominal.gain(v));
-    let aperture = |s: &Settings| s.aperture.map(|v| Nominal.aperture(v));
+    let time = |s: &Settings| s.shutter.map(|v| scale.time(v));
+    let iso = |s: &Settings| s.iso.map(|v| scale.gain(v));
+    let aperture = |s: &Settings| s.aperture.map(|v| scale.aperture(v));
     Ok(ratio(time(on), time(off), "shutter")?
         * ratio(iso(on), iso(off), "ISO")?
         * ratio(aperture(on), aperture(off), "aperture")?)

@@ -1,5 +1,6 @@
 //! `process`: a session's accepted pairs to reflectance texture, deviations, view counts and model.
 
+use super::calibrate::exposure::SessionScale;
 use super::cost::Cost;
 use super::develop::DevelopError;
 use super::energy::{self, EnergyError, FlashAccount};
@@ -208,6 +209,8 @@ impl From<UnwrapError> for ProcessError {
 /// Everything that goes in, read and matched.
 pub(super) struct Inputs {
     pub(super) calibration: FlashCalibration,
+    /// How light goes with the settings.
+    pub(super) scale: SessionScale,
     pub(super) scene: Scene,
     /// Accepted pairs with their cameras, by name.
     pub(super) matched: Vec<(Arc<PairRecord>, Camera)>,
@@ -286,6 +289,7 @@ fn outputs(uvs: &UvSource) -> Vec<String> {
 impl Inputs {
     pub(super) fn read(session: &Session) -> Result<Self, ProcessError> {
         let calibration = flash::load(session)?;
+        let scale = SessionScale::load(session).map_err(DevelopError::from)?;
         let flash = energy::account(session)?;
         let scene = scene::load(session)?;
         let (mut matched, mut left_out) = (vec![], vec![]);
@@ -310,6 +314,10 @@ impl Inputs {
         for (pair, _) in &matched {
             parts.push(originals(pair).into_bytes());
         }
+        // Only where there is a table, so that what was made without one stays.
+        if let Some(table) = scale.told() {
+            parts.push(table.into_bytes());
+        }
         // Gains come out of it, and the report tells all of it.
         parts.push(format!("{flash:?}").into_bytes());
         // The report and the summary tell of these too.
@@ -317,7 +325,7 @@ impl Inputs {
             parts.push(format!("without {}: {}", left.name, left.why).into_bytes());
         }
         let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
-        Ok(Self { calibration, scene, matched, left_out, flash, uvs: Default::default(), key })
+        Ok(Self { calibration, scale, scene, matched, left_out, flash, uvs: Default::default(), key })
     }
 
     /// The energy of a pair's pulse against the calibration's.

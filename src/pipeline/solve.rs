@@ -71,7 +71,7 @@ pub(super) fn solve(
         if got != expected {
             return Err(DevelopError::Size { name: pair.name.clone(), got, expected }.into());
         }
-        solver.add(camera, &known, &lamp(pair, &inputs.calibration)?, progress)?;
+        solver.add(camera, &known, &lamp(pair, &inputs.calibration, &inputs.scale)?, progress)?;
     }
     costs.done("raws, direct light, first look");
     let mut settled = solver.settle(piece, progress)?;
@@ -111,7 +111,7 @@ fn look_again(
         progress.report("looking again, with bounces", piece * count + i, pieces * count);
         if settled.sees(piece, i) {
             let known = known_sites(session, pair, &inputs.calibration)?;
-            let lamp = lamp(pair, &inputs.calibration)?;
+            let lamp = lamp(pair, &inputs.calibration, &inputs.scale)?;
             settled.add(i, camera, &known, &lamp, inputs.gain(pair), progress)?;
         }
     }

@@ -108,7 +108,7 @@ pub(super) fn make(
         let sites = known_sites(session, pair, &inputs.calibration)?;
         let gain = summary.gains.get(&pair.name).copied().unwrap_or(inputs.gain(pair));
         let known = demosaic(&sites, inputs.calibration.radiance).at_reference(gain);
-        let lamp = lamp(pair, &inputs.calibration)?;
+        let lamp = lamp(pair, &inputs.calibration, &inputs.scale)?;
         let light = stage.illuminate(camera, &lamp);
         let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &sent, progress)?;
         let mut maps = view_maps(&light, &known, &stage, &bounced, progress)?;

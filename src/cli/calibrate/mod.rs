@@ -1,5 +1,8 @@
 //! `unlit calibrate`: measures the rig from calibration shots.
 
+mod exposure;
+mod flat;
+
 use crate::capture::{Engine, Events, words_on_repeatability};
 use crate::cli::devices::DeviceArgs;
 use crate::cli::settings::ConfigArgs;
@@ -15,6 +18,10 @@ use std::path::PathBuf;
 pub(super) enum Calibrate {
     /// The flash, from shots of a white card that fills the frame and faces the camera.
     Flash(FlashArgs),
+    /// What the steps of ISO, shutter and aperture truly do, from ladders of shots in steady light.
+    Exposure(exposure::ExposureArgs),
+    /// Vignetting and flat field, from evenly lit frames.
+    Flat(flat::FlatArgs),
     /// Where the sensor clips, from deliberately blown frames: one at every ISO in use.
     Saturation(SaturationArgs),
     /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller.
@@ -87,6 +94,8 @@ fn shot(text: &str) -> Result<CardFiles, String> {
 pub(super) fn run(what: &Calibrate) -> CliResult {
     match what {
         Calibrate::Flash(args) => flash(args),
+        Calibrate::Exposure(args) => exposure::run(args),
+        Calibrate::Flat(args) => flat::run(args),
         Calibrate::Saturation(args) => saturation(args),
         Calibrate::Repeatability(args) => repeatability(args),
     }

@@ -3,11 +3,14 @@
 //! A calibration of the kind `levels` is `calibration/levels.json` (a [`Record`]), `calibration/levels.svg` (its
 //! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already).
 
-use super::saturation::{self, SaturationError};
+pub mod exposure;
+pub mod flat;
+
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 use crate::codec::raw::{Photo, RawError};
 use crate::export::chart::{self, Chart};
 use crate::photometry::saturation::SaturationTable;
+use crate::pipeline::saturation::{self, SaturationError};
 use crate::progress::{Cancelled, Progress};
 use crate::session::{Session, SessionError, store, utc_now};
 use serde::Serialize;

@@ -1,0 +1,74 @@
+//! `unlit calibrate flat`: vignetting and flat field.
+
+use crate::calibration::Record;
+use crate::calibration::flat::{Figure, FlatCalibration};
+use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
+use crate::pipeline::calibrate::flat::calibrate;
+use std::path::PathBuf;
+
+/// Arguments of `unlit calibrate flat`.
+///
+/// Photograph something evenly lit that fills the frame, out of focus: an overcast sky, a white wall far from its lamps,
+/// a light table, or a diffuser before the lens. Aperture and focal length as for the photographs; the middle of the
+/// frame at about half of saturation. Five frames or more, the camera turned by 90 and 180 degrees between them, so
+/// that what is uneven in the light averages out.
+#[derive(clap::Args)]
+pub(in crate::cli) struct FlatArgs {
+    /// Session folder.
+    session: PathBuf,
+    /// Raw files of one lens, focal length and aperture; any shutter and ISO.
+    #[arg(required = true)]
+    files: Vec<PathBuf>,
+    /// Everything as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &FlatArgs) -> CliResult {
+    let session = open_session(&args.session)?;
+    let (bar, progress) = progress_bar::watched();
+    let record = calibrate(&session, &args.files, &progress);
+    bar.finish_and_clear();
+    let record = record.map_err(CliError::new)?;
+    match args.json {
+        true => println!("{}", serde_json::to_string_pretty(&record).map_err(CliError::new)?),
+        false => print!("{}", human(&record)),
+    }
+    Ok(Exit::Success)
+}
+
+fn human(record: &Record<FlatCalibration>) -> String {
+    let fit = &record.fit;
+    let mut text = String::new();
+    record.verdict.sentences.iter().for_each(|sentence| text += &format!("{sentence}\n"));
+    let half = |f: &Figure| (f.interval_95[1] - f.interval_95[0]) / 2.0;
+    text += &format!("\n{:<8}{:>10}{:>10}{:>10}{:>12}{:>10}\n", "", "a1", "a2", "a3", "corner", "95 %");
+    for ((name, [a, b, c]), corner) in
+        ["red", "green", "blue"].into_iter().zip(fit.vignetting.coefficients).zip(&fit.corner)
+    {
+        text += &format!(
+            "{name:<8}{a:>+10.4}{b:>+10.4}{c:>+10.4}{:>12.5}  \u{b1}{:.5}\n",
+            corner.value,
+            half(corner)
+        );
+    }
+    text += "vignetting: 1 + a1 q + a2 q^2 + a3 q^3, q = (r / half diagonal)^2\n";
+    let [across, down] = fit.light_gradient;
+    text += &format!(
+        "slope of the light from the centre to the edge: {:+.3} % across, {:+.3} % down (\u{b1}{:.3} %)\n",
+        100.0 * across.value,
+        100.0 * down.value,
+        100.0 * half(&across).max(half(&down))
+    );
+    text += &format!(
+        "residual {:.3} % over the tiles, chi^2 per degree of freedom {:.2}\n",
+        100.0 * fit.residual_rms,
+        fit.chi2_per_freedom
+    );
+    for shot in &record.shots {
+        if let Some(why) = &shot.left_out {
+            text += &format!("left out {}: {why}\n", shot.file);
+        }
+    }
+    text
+}
