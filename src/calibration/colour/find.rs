@@ -181,8 +181,8 @@ pub(super) mod tests {
     use super::*;
     use crate::calibration::colour::fit::tests::{camera, even, normal};
     use crate::raster::Image;
+    use rand::SeedableRng as _;
     use rand_chacha::ChaCha8Rng;
-    use rand_chacha::rand_core::SeedableRng;
 
     /// A chart on a dark card on a bright table, seen by a camera; each channel's noise is relative to its white.
     pub(in super::super) fn scene(

@@ -161,12 +161,12 @@ pub(super) mod tests {
     use crate::calibration::colour::charts::{ChartKind, PATCHES};
     use crate::calibration::colour::cielab::delta_e_2000;
     use crate::calibration::colour::plane::patch_centre;
+    use rand::{RngExt as _, SeedableRng as _};
     use rand_chacha::ChaCha8Rng;
-    use rand_chacha::rand_core::{Rng, SeedableRng};
 
     /// Even over 0 to 1.
     pub(in super::super) fn even(rng: &mut ChaCha8Rng) -> f64 {
-        f64::from(rng.next_u32()) / f64::from(u32::MAX)
+        rng.random()
     }
 
     /// Normal with standard deviation 1, near enough: twelve even ones.

@@ -11,16 +11,16 @@ use glam::{DMat3, DVec2};
 const PATCH_SHARE: f64 = 0.84;
 
 /// Half of what of a patch is measured, over the distance between the centres of two: about half of its width.
-pub const MEASURED_HALF: f64 = 0.22;
+pub(super) const MEASURED_HALF: f64 = 0.22;
 
 /// Where a point of one plane is in the other.
-pub fn project(homography: &DMat3, point: DVec2) -> DVec2 {
+pub(super) fn project(homography: &DMat3, point: DVec2) -> DVec2 {
     let p = *homography * point.extend(1.0);
     p.truncate() / p.z
 }
 
 /// Column and row of a patch's centre in the chart's plane, from the first patch's centre, in patches.
-pub fn patch_centre(patch: usize) -> DVec2 {
+pub(super) fn patch_centre(patch: usize) -> DVec2 {
     DVec2::new((patch % COLUMNS) as f64, (patch / COLUMNS) as f64)
 }
 
@@ -31,7 +31,7 @@ pub fn measured_corners(image_from_chart: &DMat3, patch: usize) -> [DVec2; 4] {
 }
 
 /// Outer corners of the corner patches in the chart's plane: first patch's, then on along the first row.
-pub fn chart_corners() -> [DVec2; 4] {
+pub(super) fn chart_corners() -> [DVec2; 4] {
     let (half, right, low) = (0.5 * PATCH_SHARE, (COLUMNS - 1) as f64, (ROWS - 1) as f64);
     [
         DVec2::new(-half, -half),
@@ -43,7 +43,7 @@ pub fn chart_corners() -> [DVec2; 4] {
 
 /// Homography that takes each first point to its second, by least squares; `None` for fewer than four pairs, or where
 /// they lie in a line or no plane seen from before it can look so.
-pub fn homography(pairs: &[(DVec2, DVec2)]) -> Option<DMat3> {
+pub(super) fn homography(pairs: &[(DVec2, DVec2)]) -> Option<DMat3> {
     if pairs.len() < 4 {
         return None;
     }
