@@ -3,6 +3,8 @@
 //! A calibration of the kind `levels` is `calibration/levels.json` (a [`Record`]), `calibration/levels.svg` (its
 //! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already).
 
+pub mod colour;
+
 use super::saturation::{self, SaturationError};
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 use crate::codec::raw::{Photo, RawError};

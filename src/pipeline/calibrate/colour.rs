@@ -1,0 +1,1 @@
+//! Colour of a session, from a frame of a chart.
