@@ -72,6 +72,24 @@ impl ChartKind {
     }
 }
 
+/// No such chart.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no chart that is known; known are colorchecker24, colorchecker24-before-2014 and spydercheckr24")]
+pub struct UnknownChart(String);
+
+impl std::str::FromStr for ChartKind {
+    type Err = UnknownChart;
+
+    fn from_str(text: &str) -> Result<Self, UnknownChart> {
+        match text {
+            "colorchecker24" => Ok(Self::Colorchecker24),
+            "colorchecker24-before-2014" => Ok(Self::Colorchecker24Before2014),
+            "spydercheckr24" => Ok(Self::Spydercheckr24),
+            other => Err(UnknownChart(other.to_owned())),
+        }
+    }
+}
+
 #[rustfmt::skip]
 const SINCE_2014: [(&str, Lab); PATCHES] = [
     ("dark skin", [37.54, 14.37, 14.92]), ("light skin", [64.66, 19.27, 17.50]),

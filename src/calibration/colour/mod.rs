@@ -17,7 +17,7 @@ mod sites;
 mod standards;
 mod summary;
 
-pub use charts::{COLUMNS, ChartKind, PATCHES, ROWS};
+pub use charts::{COLUMNS, ChartKind, PATCHES, ROWS, UnknownChart};
 pub use cielab::{Lab, delta_e_2000, delta_e_2000_plain, lab, xyz};
 pub use find::{Found, between, find};
 pub use overlay::overlay;

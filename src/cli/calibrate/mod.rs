@@ -1,5 +1,7 @@
 //! `unlit calibrate`: measures the rig from calibration shots.
 
+mod colour;
+
 use crate::capture::{Engine, Events, words_on_repeatability};
 use crate::cli::devices::DeviceArgs;
 use crate::cli::settings::ConfigArgs;
@@ -15,6 +17,8 @@ use std::path::PathBuf;
 pub(super) enum Calibrate {
     /// The flash, from shots of a white card that fills the frame and faces the camera.
     Flash(FlashArgs),
+    /// The camera's colours, from a raw file of a colour chart.
+    Colour(colour::ColourArgs),
     /// Where the sensor clips, from deliberately blown frames: one at every ISO in use.
     Saturation(SaturationArgs),
     /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller.
@@ -87,6 +91,7 @@ fn shot(text: &str) -> Result<CardFiles, String> {
 pub(super) fn run(what: &Calibrate) -> CliResult {
     match what {
         Calibrate::Flash(args) => flash(args),
+        Calibrate::Colour(args) => colour::run(args),
         Calibrate::Saturation(args) => saturation(args),
         Calibrate::Repeatability(args) => repeatability(args),
     }
