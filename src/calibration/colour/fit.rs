@@ -82,7 +82,7 @@ pub(super) fn solve(samples: &[Sample], uneven: bool) -> Option<Solution> {
     let count = if uneven { MATRIX + 2 } else { MATRIX };
     let mut state: Vec<f64> = start.to_cols_array().into_iter().chain([0.0; 2]).collect();
     let mut residual = residuals(&scaled, &state);
-    let (mut damping, mut inverse_normal) = (1e-3, None);
+    let (mut damping, mut inverse_normal) = (1e-3f64, None);
     for _ in 0..60 {
         let jacobian = jacobian(&scaled, &state, &residual, count);
         let normal: Vec<Vec<f64>> =
