@@ -8,7 +8,7 @@ use glam::DVec3;
 use std::f64::consts::{PI, TAU};
 
 /// White of ICC's profile connection space, D50, XYZ with Y = 1.
-pub const D50: DVec3 = DVec3::new(0.9642, 1.0, 0.8249);
+pub(super) const D50: DVec3 = DVec3::new(0.9642, 1.0, 0.8249);
 
 /// L*, a*, b*.
 pub type Lab = [f64; 3];
@@ -32,7 +32,7 @@ pub fn xyz([l, a, b]: Lab) -> DVec3 {
 
 /// How lightness counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Lightness {
+pub(super) enum Lightness {
     /// CIEDE2000 as it is: dark and light differences count less than those in the middle.
     Weighted,
     /// With S_L = 1, as archiving standards want it: never less than [`Lightness::Weighted`].

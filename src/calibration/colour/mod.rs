@@ -313,8 +313,5 @@ impl Evenness {
     }
 }
 
-/// D50 as a row, for those that adapt from it.
-pub const WHITE_XYZ: DVec3 = D50;
-
 #[cfg(test)]
 mod tests;

@@ -26,7 +26,7 @@ pub struct Standards {
 }
 
 /// Judges differences.
-pub fn judge(differences: &Differences) -> Standards {
+pub(super) fn judge(differences: &Differences) -> Standards {
     let Differences { mean_sl1: mean, max_sl1: max, percentile_90_sl1: most, .. } = *differences;
     let iso = ISO.into_iter().find(|(_, m, x)| mean <= *m && max <= *x);
     let fadgi = FADGI.into_iter().find(|(_, m, p)| mean < *m && most < *p);

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 /// Arguments of `unlit calibrate colour`.
 #[derive(clap::Args)]
-pub(super) struct ColourArgs {
+pub(in crate::cli) struct ColourArgs {
     /// Session folder.
     session: PathBuf,
     /// Raw file of the chart, lit as the object will be: by the flash in a dark room, or with --off. The chart lies
