@@ -219,6 +219,21 @@ pub(super) mod tests {
         })
     }
 
+    /// What the finder sees, for a test that fails.
+    fn seen(image: &Rgb) -> String {
+        let regions = regions(image);
+        let mut text = format!("{} regions", regions.len());
+        for lattice in lattices(&regions) {
+            text += &format!("\nlattice of {}:", lattice.len());
+            for window in windows(&lattice) {
+                let best = judge(image, &window, &ChartKind::ALL).into_iter();
+                let best = best.min_by(|a, b| a.mean_difference.total_cmp(&b.mean_difference));
+                text += &format!(" {}:{:.1?}", window.len(), best.map(|b| (b.kind, b.mean_difference)));
+            }
+        }
+        text
+    }
+
     /// A chart turned by an angle, of `step` pixels a patch, with a little perspective.
     pub(in super::super) fn pose(centre: DVec2, step: f64, angle: f64, tilt: DVec2) -> DMat3 {
         let perspective = DMat3::from_cols(DVec3::new(1.0, 0.0, tilt.x), DVec3::new(0.0, 1.0, tilt.y), DVec3::Z);
@@ -239,7 +254,8 @@ pub(super) mod tests {
             let tilt = DVec2::new(even(&mut rng) - 0.5, even(&mut rng) - 0.5) * 0.002;
             let truth = pose(DVec2::new(170.0, 125.0), step, angle, tilt);
             let image = scene(kind, (340, 250), truth, camera(&mut rng) * 900.0, 0.004, case as u64);
-            let found = find(&image, &ChartKind::ALL).unwrap_or_else(|| panic!("case {case}: {kind:?} {step} {angle}"));
+            let found = find(&image, &ChartKind::ALL)
+                .unwrap_or_else(|| panic!("case {case}: {kind:?} {step} {angle}\n{}", seen(&image)));
             assert!(found.kind.same_chart(kind), "case {case}: {found:?}");
             for k in 0..PATCHES {
                 let [there, expected] = [found.image_from_chart, truth].map(|h| project(&h, patch_centre(k)));

@@ -52,7 +52,15 @@ pub(super) fn lattices(regions: &[Region]) -> Vec<Lattice> {
         }
     }
     out.sort_by_key(|lattice| std::cmp::Reverse(lattice.len()));
-    out
+    // Every other row, or the diagonals, of a lattice are lattices too.
+    let mut kept: Vec<Lattice> = vec![];
+    for lattice in out {
+        let shared = |other: &Lattice| lattice.values().filter(|at| other.values().any(|o| o == *at)).count();
+        if kept.iter().all(|other| 2 * shared(other) < lattice.len()) {
+            kept.push(lattice);
+        }
+    }
+    kept
 }
 
 /// Centres of the nearest regions of a like size that lie as far off as neighbours in a chart do.

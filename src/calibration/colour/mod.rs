@@ -27,7 +27,6 @@ pub use standards::Standards;
 pub use summary::Differences;
 
 use super::Verdict;
-use cielab::D50;
 use fit::{LEAST_PATCHES, Sample, Solution, solve, white};
 use glam::{DMat3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};

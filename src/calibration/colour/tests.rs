@@ -1,3 +1,4 @@
+use super::cielab::D50;
 use super::find::tests::{pose, scene};
 use super::fit::tests::camera;
 use super::*;
