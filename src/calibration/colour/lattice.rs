@@ -40,6 +40,7 @@ pub(super) fn lattices(regions: &[Region]) -> Vec<Lattice> {
                 if nearest(regions, corner, TOLERANCE * across.length()).is_none() {
                     continue;
                 }
+                let (across, down) = reduced(across, down);
                 let grown = grow(regions, first, across, down);
                 if grown.len() > best.len() {
                     best = grown;
@@ -86,6 +87,16 @@ fn alike(a: &Region, b: &Region) -> bool {
 fn is_cell(across: DVec2, down: DVec2) -> bool {
     let (a, d) = (across.length(), down.length());
     (0.5..2.0).contains(&(a / d)) && across.perp_dot(down) > 0.7 * a * d
+}
+
+/// The shortest steps of the same lattice (Gauss's reduction): a diagonal and a side span it too, but its rows are then
+/// no rows of the chart. Turns as before.
+fn reduced(mut across: DVec2, mut down: DVec2) -> (DVec2, DVec2) {
+    for _ in 0..8 {
+        down -= across * (across.dot(down) / across.length_squared()).round();
+        across -= down * (across.dot(down) / down.length_squared()).round();
+    }
+    (across, down)
 }
 
 fn nearest(regions: &[Region], place: DVec2, within: f64) -> Option<usize> {
