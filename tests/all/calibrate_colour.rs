@@ -33,14 +33,19 @@ fn a_real_chart_is_found_without_help_and_its_colours_are_right() {
     assert!(number("fit", "mean") <= 3.0, "{}", json["fit"]);
     assert!(number("leave_one_out", "mean") <= 3.3, "{}", json["leave_one_out"]);
     assert!(number("half_held_out", "mean") < 5.0, "{}", json["half_held_out"]);
-    assert!(json["patches"].as_array().unwrap().iter().all(|p| p["left_out"].is_null()), "{}", json["patches"]);
+    assert!(
+        json["patches"].as_array().unwrap().iter().all(|p| p["left_out"].is_null()),
+        "{}",
+        json["patches"]
+    );
     // White stays white.
     for name in ["linear_srgb_from_camera", "acescg_from_camera"] {
         for row in rows(&json[name]) {
             assert!((row.iter().sum::<f64>() - 1.0).abs() < 2e-3, "{name} {row:?}");
         }
     }
-    let kept: Value = serde_json::from_slice(&std::fs::read(session.join("calibration/colour.json")).unwrap()).unwrap();
+    let kept: Value =
+        serde_json::from_slice(&std::fs::read(session.join("calibration/colour.json")).unwrap()).unwrap();
     assert_eq!(kept, json);
     assert!(std::fs::read_to_string(session.join("calibration/colour.svg")).unwrap().contains("CIEDE2000"));
     let picture = std::fs::read(session.join("calibration/colour.png")).unwrap();
@@ -48,7 +53,8 @@ fn a_real_chart_is_found_without_help_and_its_colours_are_right() {
 
     // With the corners of its patches given by hand, roughly, the figures are about the same.
     let corners = ["657,571", "1306,568", "1307,965", "653,975"];
-    let mut arguments = vec!["calibrate", "colour", path, &file, "--chart", "colorchecker24-before-2014", "--corners"];
+    let mut arguments =
+        vec!["calibrate", "colour", path, &file, "--chart", "colorchecker24-before-2014", "--corners"];
     arguments.extend(corners);
     arguments.push("--json");
     let by_hand: Value = serde_json::from_str(&said(&unlit(&arguments))).unwrap();
@@ -68,7 +74,9 @@ fn a_frame_without_a_chart_is_refused_and_nothing_is_kept() {
     let output = unlit(&["calibrate", "colour", path, &file]);
     let why = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!output.status.success() && why.contains("no colour chart is seen in d1000_0.dng"), "{why}");
-    assert!(!session.join("calibration/colour.json").exists() && !session.join("calibration/colour.png").exists());
+    assert!(
+        !session.join("calibration/colour.json").exists() && !session.join("calibration/colour.png").exists()
+    );
     let wrong = unlit(&["calibrate", "colour", path, &file, "--chart", "it8"]);
     assert_eq!(wrong.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&wrong.stderr).contains("spydercheckr24"));

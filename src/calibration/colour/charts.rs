@@ -74,7 +74,9 @@ impl ChartKind {
 
 /// No such chart.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is no chart that is known; known are colorchecker24, colorchecker24-before-2014 and spydercheckr24")]
+#[error(
+    "{0:?} is no chart that is known; known are colorchecker24, colorchecker24-before-2014 and spydercheckr24"
+)]
 pub struct UnknownChart(String);
 
 impl std::str::FromStr for ChartKind {

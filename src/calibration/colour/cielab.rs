@@ -158,7 +158,9 @@ mod tests {
         assert!(lab(D50).iter().zip([100.0, 0.0, 0.0]).all(|(a, b)| (a - b).abs() < 1e-12));
         // CIE's own number for a grey of 18 %.
         assert!((lab(0.184_186_52 * D50)[0] - 50.0).abs() < 1e-5);
-        for colour in [[20.0, 3.0, -9.0], [95.0, -1.0, 3.0], [28.4, 15.4, -49.8], [81.8, 2.7, 80.4], [4.0, 0.2, 0.1]] {
+        for colour in
+            [[20.0, 3.0, -9.0], [95.0, -1.0, 3.0], [28.4, 15.4, -49.8], [81.8, 2.7, 80.4], [4.0, 0.2, 0.1]]
+        {
             let back = lab(xyz(colour));
             assert!(back.iter().zip(colour).all(|(a, b)| (a - b).abs() < 1e-9), "{back:?} for {colour:?}");
         }

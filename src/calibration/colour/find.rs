@@ -90,7 +90,8 @@ type Window = Vec<(DVec2, DVec2)>;
 
 fn windows(lattice: &Lattice) -> Vec<Window> {
     let span = |pick: fn(&(i32, i32)) -> i32, wide: usize| {
-        let (low, high) = lattice.keys().map(pick).fold((i32::MAX, i32::MIN), |(l, h), v| (l.min(v), h.max(v)));
+        let (low, high) =
+            lattice.keys().map(pick).fold((i32::MAX, i32::MIN), |(l, h), v| (l.min(v), h.max(v)));
         let wide = wide as i32;
         // Also windows that reach two columns or rows past what was found: whole rows may be too dark to find.
         let (from, to) = (low - 2, high + 3 - wide);
@@ -130,7 +131,8 @@ fn judge(image: &Rgb, window: &Window, kinds: &[ChartKind]) -> Vec<Found> {
     for round in [false, true] {
         let pairs: Vec<_> = window.iter().map(|(p, at)| (if round { last - *p } else { *p }, *at)).collect();
         let Some(image_from_chart) = homography(&pairs) else { continue };
-        let off = pairs.iter().map(|(p, at)| project(&image_from_chart, *p).distance_squared(*at)).sum::<f64>();
+        let off =
+            pairs.iter().map(|(p, at)| project(&image_from_chart, *p).distance_squared(*at)).sum::<f64>();
         let step = (project(&image_from_chart, last) - project(&image_from_chart, DVec2::ZERO)).length()
             / last.length();
         if (off / pairs.len() as f64).sqrt() > MOST_OFF * step {
@@ -206,7 +208,9 @@ pub(super) mod tests {
             match (frame, inside && off < 0.42) {
                 (true, true) => rgb_from_xyz * references[row as usize * COLUMNS + column as usize],
                 (true, false) => white * 0.035,
-                (false, _) => white * (0.45 + 0.1 * (0.05 * p.x).sin() + 0.1 * (0.03 * (p.x + 2.0 * p.y)).cos()),
+                (false, _) => {
+                    white * (0.45 + 0.1 * (0.05 * p.x).sin() + 0.1 * (0.03 * (p.x + 2.0 * p.y)).cos())
+                }
             }
         };
         Image::from_fn(size.0, size.1, |x, y| {
@@ -236,7 +240,8 @@ pub(super) mod tests {
 
     /// A chart turned by an angle, of `step` pixels a patch, with a little perspective.
     pub(in super::super) fn pose(centre: DVec2, step: f64, angle: f64, tilt: DVec2) -> DMat3 {
-        let perspective = DMat3::from_cols(DVec3::new(1.0, 0.0, tilt.x), DVec3::new(0.0, 1.0, tilt.y), DVec3::Z);
+        let perspective =
+            DMat3::from_cols(DVec3::new(1.0, 0.0, tilt.x), DVec3::new(0.0, 1.0, tilt.y), DVec3::Z);
         DMat3::from_translation(centre)
             * perspective
             * DMat3::from_angle(angle)
@@ -272,7 +277,9 @@ pub(super) mod tests {
         for corners in [[a, b, c, d], [c, a, d, b], [d, c, b, a]] {
             let found = between(&image, corners, &ChartKind::ALL).unwrap();
             assert_eq!(found.kind, ChartKind::Spydercheckr24);
-            assert!(project(&found.image_from_chart, DVec2::ZERO).distance(project(&truth, DVec2::ZERO)) < 0.5);
+            assert!(
+                project(&found.image_from_chart, DVec2::ZERO).distance(project(&truth, DVec2::ZERO)) < 0.5
+            );
         }
     }
 

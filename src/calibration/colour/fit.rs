@@ -132,7 +132,8 @@ fn errors(jacobian: &[Vec<f64>], residual: &[f64]) -> Option<Vec<f64>> {
     let mut squares = vec![0.0; count];
     for patch in 0..patches {
         let own = 3 * patch..3 * patch + 3;
-        let slope: Vec<f64> = jacobian.iter().map(|row| dot(&row[own.clone()], &residual[own.clone()])).collect();
+        let slope: Vec<f64> =
+            jacobian.iter().map(|row| dot(&row[own.clone()], &residual[own.clone()])).collect();
         let share = times(&inverse, &slope);
         squares.iter_mut().zip(share).for_each(|(s, v)| *s += v * v);
     }
@@ -240,7 +241,8 @@ pub(super) mod tests {
             let found = solve(&samples, true).unwrap();
             for axis in 0..2 {
                 // Student's t for 20 degrees of freedom.
-                inside += usize::from((found.gradient - gradient)[axis].abs() < 2.09 * found.gradient_error[axis]);
+                inside +=
+                    usize::from((found.gradient - gradient)[axis].abs() < 2.09 * found.gradient_error[axis]);
                 all += 1;
             }
         }
@@ -257,9 +259,8 @@ pub(super) mod tests {
         }
         let linear = linear(samples.iter().map(|s| (s.rgb, xyz(s.reference)))).unwrap();
         let linear = Solution { xyz_from_rgb: linear, gradient: DVec2::ZERO, gradient_error: DVec2::ZERO };
-        let sum = |x: &Solution| {
-            samples.iter().map(|s| delta_e_2000(s.reference, x.lab(s)).powi(2)).sum::<f64>()
-        };
+        let sum =
+            |x: &Solution| samples.iter().map(|s| delta_e_2000(s.reference, x.lab(s)).powi(2)).sum::<f64>();
         assert!(sum(&solve(&samples, false).unwrap()) < 0.95 * sum(&linear));
         assert!(sum(&solve(&samples, true).unwrap()) <= sum(&solve(&samples, false).unwrap()) + 1e-9);
     }

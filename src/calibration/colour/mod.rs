@@ -48,10 +48,14 @@ const GOOD: f64 = 5.0;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ColourError {
     /// No chart.
-    #[error("no colour chart is seen in {0}: it must lie flat and whole in the frame, evenly lit, patches free; or give the outer corners of its patches with --corners")]
+    #[error(
+        "no colour chart is seen in {0}: it must lie flat and whole in the frame, evenly lit, patches free; or give the outer corners of its patches with --corners"
+    )]
     NoChart(String),
     /// Corners that hold no chart.
-    #[error("no known chart lies between the corners given in {0}: give the outer corners of the four corner patches, in pixels from the frame's top left corner")]
+    #[error(
+        "no known chart lies between the corners given in {0}: give the outer corners of the four corner patches, in pixels from the frame's top left corner"
+    )]
     NotBetween(String),
     /// Too few patches.
     #[error("only {usable} patches can be used and a matrix needs {LEAST_PATCHES}: {why}")]
@@ -271,7 +275,11 @@ impl ColourFit {
             fit.patches,
             out.mean,
             out.max,
-            if good { "good enough to use" } else { "too much; shoot the chart evenly lit, in focus, without reflections" }
+            if good {
+                "good enough to use"
+            } else {
+                "too much; shoot the chart evenly lit, in focus, without reflections"
+            }
         )];
         let iso = match &self.standards.iso_19264_1_level {
             Some(level) => format!("meet level {level} of ISO 19264-1"),
@@ -307,7 +315,9 @@ impl Evenness {
             (false, true) => format!(
                 "The light may have been uneven, {across} across and {down} down from the chart's middle; taking it out would not predict patches better, so it was left."
             ),
-            (false, false) => format!("The light was even: {across} across and {down} down from the chart's middle."),
+            (false, false) => {
+                format!("The light was even: {across} across and {down} down from the chart's middle.")
+            }
         }
     }
 }

@@ -26,7 +26,8 @@ pub(super) fn patch_centre(patch: usize) -> DVec2 {
 
 /// Corners of the part of a patch that is measured, in turn.
 pub fn measured_corners(image_from_chart: &DMat3, patch: usize) -> [DVec2; 4] {
-    let at = |x: f64, y: f64| project(image_from_chart, patch_centre(patch) + MEASURED_HALF * DVec2::new(x, y));
+    let at =
+        |x: f64, y: f64| project(image_from_chart, patch_centre(patch) + MEASURED_HALF * DVec2::new(x, y));
     [at(-1.0, -1.0), at(1.0, -1.0), at(1.0, 1.0), at(-1.0, 1.0)]
 }
 
@@ -90,7 +91,8 @@ mod tests {
             let pairs: Vec<_> =
                 picked.take(count).map(|k| (patch_centre(k), project(&truth, patch_centre(k)))).collect();
             let found = homography(&pairs).unwrap();
-            let off = (0..24).map(|k| project(&found, patch_centre(k)).distance(project(&truth, patch_centre(k))));
+            let off =
+                (0..24).map(|k| project(&found, patch_centre(k)).distance(project(&truth, patch_centre(k))));
             assert!(off.fold(0.0, f64::max) < 1e-6, "{found}");
         }
         let line: Vec<_> = (0..6).map(|k| (patch_centre(k), project(&truth, patch_centre(k)))).collect();

@@ -24,7 +24,9 @@ pub struct ChartFrame<'a> {
 
 /// Two frames of different size or filter array.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the frames differ in size or colour filter array: the frame without flash must be of the same camera and format")]
+#[error(
+    "the frames differ in size or colour filter array: the frame without flash must be of the same camera and format"
+)]
 pub struct FramesDiffer;
 
 /// What a patch reads.
@@ -166,7 +168,10 @@ mod tests {
         let mut values: Vec<f32> = (0..400).map(|k| 1000.0 + [-10.0, 10.0][k % 2]).collect();
         values[..20].fill(0.0);
         let (mean, error) = robust_mean(&mut values);
-        assert!((mean - 1000.0).abs() < 1e-6 && (error - 10.0 / 379f64.sqrt()).abs() < 0.01, "{mean} {error}");
+        assert!(
+            (mean - 1000.0).abs() < 1e-6 && (error - 10.0 / 379f64.sqrt()).abs() < 0.01,
+            "{mean} {error}"
+        );
         assert_eq!(robust_mean(&mut []), (0.0, 0.0));
         assert_eq!(robust_mean(&mut [7.0; 9]), (7.0, 0.0));
     }
