@@ -9,6 +9,7 @@ mod avr;
 mod birdbath;
 mod calibrate_exposure;
 mod calibrate_flat;
+mod calibrate_colour;
 mod camera;
 mod camera_faults;
 mod camera_usb;

@@ -1,5 +1,6 @@
 //! `unlit calibrate`: measures the rig from calibration shots.
 
+mod colour;
 mod exposure;
 mod flat;
 
@@ -22,6 +23,8 @@ pub(super) enum Calibrate {
     Exposure(exposure::ExposureArgs),
     /// Vignetting and flat field, from evenly lit frames.
     Flat(flat::FlatArgs),
+    /// The camera's colours, from a raw file of a colour chart.
+    Colour(colour::ColourArgs),
     /// Where the sensor clips, from deliberately blown frames: one at every ISO in use.
     Saturation(SaturationArgs),
     /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller.
@@ -96,6 +99,7 @@ pub(super) fn run(what: &Calibrate) -> CliResult {
         Calibrate::Flash(args) => flash(args),
         Calibrate::Exposure(args) => exposure::run(args),
         Calibrate::Flat(args) => flat::run(args),
+        Calibrate::Colour(args) => colour::run(args),
         Calibrate::Saturation(args) => saturation(args),
         Calibrate::Repeatability(args) => repeatability(args),
     }

@@ -3,6 +3,7 @@
 //! A calibration of the kind `levels` is `calibration/levels.json` (a [`Record`]), `calibration/levels.svg` (its
 //! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already).
 
+pub mod colour;
 pub mod exposure;
 pub mod flat;
 

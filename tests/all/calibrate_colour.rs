@@ -1,0 +1,83 @@
+//! Colour from a real raw file of a real chart, by the program itself.
+
+use crate::raw::sample;
+use crate::samples::shared;
+use serde_json::Value;
+use std::process::{Command, Output};
+
+fn unlit(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap()
+}
+
+fn said(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+fn rows(value: &Value) -> [[f64; 3]; 3] {
+    serde_json::from_value(value.clone()).unwrap()
+}
+
+#[test]
+fn a_real_chart_is_found_without_help_and_its_colours_are_right() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = folder.path().join("s");
+    let path = session.to_str().unwrap();
+    let file = sample("tinydng_colorchart.dng").display().to_string();
+    said(&unlit(&["new", path]));
+    let text = said(&unlit(&["calibrate", "colour", path, &file, "--json"]));
+    let json: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(json["found_without_help"], true);
+    assert!(json["chart"].as_str().unwrap().starts_with("colorchecker24"), "{}", json["chart"]);
+    let number = |what: &str, which: &str| json[what][which].as_f64().unwrap();
+    assert!(number("fit", "mean") <= 3.0, "{}", json["fit"]);
+    assert!(number("leave_one_out", "mean") <= 3.3, "{}", json["leave_one_out"]);
+    assert!(number("half_held_out", "mean") < 5.0, "{}", json["half_held_out"]);
+    assert!(
+        json["patches"].as_array().unwrap().iter().all(|p| p["left_out"].is_null()),
+        "{}",
+        json["patches"]
+    );
+    // White stays white.
+    for name in ["linear_srgb_from_camera", "acescg_from_camera"] {
+        for row in rows(&json[name]) {
+            assert!((row.iter().sum::<f64>() - 1.0).abs() < 2e-3, "{name} {row:?}");
+        }
+    }
+    let kept: Value =
+        serde_json::from_slice(&std::fs::read(session.join("calibration/colour.json")).unwrap()).unwrap();
+    assert_eq!(kept, json);
+    assert!(std::fs::read_to_string(session.join("calibration/colour.svg")).unwrap().contains("CIEDE2000"));
+    let picture = std::fs::read(session.join("calibration/colour.png")).unwrap();
+    assert!(image::load_from_memory(&picture).unwrap().width() >= 800);
+
+    // With the corners of its patches given by hand, roughly, the figures are about the same.
+    let corners = ["657,571", "1306,568", "1307,965", "653,975"];
+    let mut arguments =
+        vec!["calibrate", "colour", path, &file, "--chart", "colorchecker24-before-2014", "--corners"];
+    arguments.extend(corners);
+    arguments.push("--json");
+    let by_hand: Value = serde_json::from_str(&said(&unlit(&arguments))).unwrap();
+    assert_eq!(by_hand["found_without_help"], false);
+    assert!(by_hand["fit"]["mean"].as_f64().unwrap() < 3.3, "{}", by_hand["fit"]);
+    let text = said(&unlit(&["calibrate", "colour", path, &file]));
+    assert!(text.starts_with("Colours differ by") && text.contains("neutral 6.5"), "{text}");
+}
+
+#[test]
+fn a_frame_without_a_chart_is_refused_and_nothing_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = folder.path().join("s");
+    let path = session.to_str().unwrap();
+    said(&unlit(&["new", path]));
+    let file = shared("scenes/birdbath/calibration/white/d1000_0.dng").display().to_string();
+    let output = unlit(&["calibrate", "colour", path, &file]);
+    let why = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!output.status.success() && why.contains("no colour chart is seen in d1000_0.dng"), "{why}");
+    assert!(
+        !session.join("calibration/colour.json").exists() && !session.join("calibration/colour.png").exists()
+    );
+    let wrong = unlit(&["calibrate", "colour", path, &file, "--chart", "it8"]);
+    assert_eq!(wrong.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&wrong.stderr).contains("spydercheckr24"));
+}
