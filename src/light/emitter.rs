@@ -226,8 +226,10 @@ impl Emitter {
                 let facing = square > 0.0 && here > 0.0 && there > 0.0;
                 if facing { here / square * there.powf(self.exponent) } else { 0.0 }
             }
-            _ if self.exponent > 0.0 => self.summed(point, normal),
-            Shape::Disc { radius } => Ring { inner: 0.0, outer: *radius }.irradiance(point, normal),
+            _ if self.exponent != 0.0 => self.summed(point, normal),
+            Shape::Disc { radius } => {
+                Ring { inner: 0.0, outer: *radius, offset: 0.0, lobe: 0.0 }.irradiance(point, normal)
+            }
             Shape::Ring(ring) => ring.irradiance(point, normal),
             Shape::Mesh { triangles } => triangles.iter().map(|t| polygon(t, point, normal)).sum(),
         }

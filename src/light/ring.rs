@@ -42,6 +42,9 @@ const GLIMPSE: u32 = 4;
 /// Points of the sum that takes over where the horizon cuts the ring.
 const FINE: usize = 256;
 
+/// Cosine of the emission angle below which a lobe changes no more.
+const LEAST_COSINE: f64 = 1e-3;
+
 /// Points over which the lobe's mean is taken.
 const COARSE: usize = 16;
 
@@ -131,7 +134,7 @@ impl Ring {
     /// cos^n of the angle under which a point of the ring shines at a place.
     fn lobe_towards(&self, lamp: DVec3, point: DVec3) -> f64 {
         let way = point - lamp;
-        (way.z.max(0.0) / way.length()).powf(self.lobe)
+        (way.z / way.length()).max(LEAST_COSINE).powf(self.lobe)
     }
 
     /// Irradiance without lobe; `point` from the ring's centre.

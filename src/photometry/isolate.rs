@@ -144,7 +144,7 @@ pub fn isolate_dark(on: &Mosaic, noise: &NoiseModel) -> KnownMosaic {
 }
 
 /// DN above black; `None` when clipped.
-fn linear(frame: &Mosaic, x: usize, y: usize) -> Option<f32> {
+pub(crate) fn linear(frame: &Mosaic, x: usize, y: usize) -> Option<f32> {
     let (black, saturation) = (frame.levels.black[y & 1][x & 1], frame.levels.saturation[y & 1][x & 1]);
     let above = f32::from(*frame.dn.at(x, y)) - black;
     (above < CLIP * (saturation - black)).then_some(above)

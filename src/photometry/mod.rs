@@ -11,6 +11,7 @@ pub mod saturation;
 
 pub use demosaic::{Known, demosaic};
 pub use gain::FlashGain;
+pub(crate) use isolate::linear;
 pub use isolate::{IsolateError, KnownMosaic, RoomLight, isolate, isolate_dark, isolate_mean};
 pub use mosaic::{Cfa, LevelSource, Levels, Mosaic};
-pub use noise::{NoNoise, NoiseModel};
+pub use noise::{NoNoise, NoiseGauge, NoiseModel};

@@ -184,7 +184,7 @@ fn jitter(sums: &[ShotSums], precision: &[f64], wanted: Jitter, phi: f64) -> Opt
         // No jitter is seen beside the sensor's noise.
         return Some((0.0, Some(freedom(otherwise)?)));
     }
-    for _ in 0..60 {
+    for _ in 0..30 {
         let middle = (low * high).sqrt();
         match restricted(sums, precision, middle, phi)?.0 > 0.0 {
             true => low = middle,
