@@ -2,6 +2,11 @@
 
 mod flash;
 mod record;
+mod steadiness;
 
-pub use flash::{CardResidual, CardShot, FieldFactor, FlashCalibration, FlashFitError, fit_flash};
+pub use flash::{
+    CardResidual, CardShot, Cell, FieldFactor, FlashCalibration, FlashFacts, FlashFindings, FlashFitError, Interval,
+    Plane, Target, fit_flash,
+};
 pub use record::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
+pub use steadiness::{SteadyError, SteadyShot, Steadiness, steadiness};

@@ -1,55 +1,78 @@
-//! The flash, from shots of a flat card that faces the camera at known distances.
+//! The flash, from shots of a flat card at known places (thesis, section 3.4).
 //!
-//! Card shots tell, per colour channel, the lamp's radiance in sensor units, and over the field angle the
-//! product of lens vignetting and lamp lobe. They cannot tell the two factors apart. Direct
-//! light needs only the product as long as lamp and lens share their axis; bounced light is simulated as if all of it
-//! were vignetting, which is exact for a lamp without lobe. Model of a pixel on shot s:
+//! Card shots tell, per colour channel, the lamp's radiance in sensor units, where the ring lies along the lens's axis,
+//! and over the field the product of lens vignetting and lamp lobe. They cannot tell the two factors apart: a lobe is
+//! fitted only where a flat field gives the vignetting. Direct light needs only the product as long as lamp and lens
+//! share their axis; bounced light is simulated as if all of it were vignetting, which is exact for a lamp without
+//! lobe. Model of a colour's mean over a cell of shot s:
 //!
 //! ```text
 //! P_c(x) = k_s R_c g(q) E1(x) rho_t / pi,    g(q) = 1 + a1 q + a2 q^2 + a3 q^3,    mean of k_s = 1
 //! ```
 //!
-//! E1 is the ring's irradiance per unit radiance ([`Ring::irradiance`]), rho_t the card's reflectance, q the
-//! squared distance from the principal point over the squared half diagonal, k_s the flash's shot-to-shot
-//! energy. Weighted least squares, alternating between (k, R) and a, each of which is linear in the other's
-//! absence.
+//! E1 is the ring's irradiance per unit radiance ([`Ring::irradiance`], with its offset and lobe), rho_t the card's
+//! reflectance factor, q the squared distance from the principal point over the squared half diagonal, k_s the flash's
+//! energy, which is the shot's and not the pixel's. The fit is by Levenberg-Marquardt with the jitter of k_s as a
+//! variance component (module `mixed`). Energy is per shot: the shutter's time is nowhere in it.
+//!
+//! The law of distance is tested by a fit with E1 times (d / d0)^(2 - p), which leaves p = 2 to the inverse square; the
+//! ring's radii by a fit in which they may leave the ruler's values.
+
+mod card;
+mod linear;
+mod mixed;
+mod model;
+mod verdict;
+
+pub use card::{CardShot, Cell, Plane, Target};
 
 use crate::light::Ring;
-use crate::photometry::{KnownMosaic, NoiseModel};
-use crate::scene::{Camera, Intrinsics};
-use glam::{DAffine3, DMat4, DVec2, DVec3, DVec4, Vec4Swizzles};
+use crate::photometry::NoiseModel;
+use crate::scene::Intrinsics;
+use card::{SeenShot, Setting};
+use mixed::{Jitter, Solution, solve};
+use model::{Cards, Figure, first_guess};
 use serde::{Deserialize, Serialize};
-use std::f64::consts::PI;
 
-/// Sites per edge of the blocks that enter the fit; even, to hold whole filter cells.
-const BLOCK: usize = 8;
+/// Largest share of a shot's cells that clipping may take.
+const MOST_CLIPPED: f64 = 0.25;
 
-/// Least share of a shot's blocks that must be unclipped for the shot to count.
-const LEAST_USABLE: f64 = 0.05;
+/// Fewest cells of a shot that counts.
+const FEWEST_CELLS: usize = 8;
 
-/// Model error that is granted to every block beside noise, relative.
-const MODEL_ERROR: f64 = 0.002;
+/// The flash's jitter where the shots are too few to tell it: the thesis's 0.0029.
+const USUAL_JITTER: f64 = 0.0029;
 
 /// Largest root mean square residual (relative) of a calibration that may be used.
 const MOST_RESIDUAL: f64 = 0.1;
-
-/// One shot of the card with the flash's light isolated.
-pub struct CardShot {
-    /// File name, for reports.
-    pub label: String,
-    /// Distance from the lens's centre of projection to the card's plane along the axis, metres.
-    pub distance: f64,
-    /// Known light on sensor sites, DN.
-    pub known: KnownMosaic,
-    /// Energy of its pulse in the flash controller's counts, where it was measured.
-    pub energy_counts: Option<f64>,
-}
 
 /// Product of vignetting and lamp lobe over the field, 1 on the axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FieldFactor {
     /// Coefficients of q, q^2, q^3, where q = (r / half diagonal)^2.
     pub coefficients: [f64; 3],
+}
+
+/// A figure with its 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Interval {
+    /// Best value.
+    pub value: f64,
+    /// Lower end.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+}
+
+impl Interval {
+    fn around(value: f64, half: f64) -> Self {
+        Self { value, low: value - half, high: value + half }
+    }
+
+    /// Whether a value lies inside.
+    pub fn holds(&self, value: f64) -> bool {
+        (self.low..=self.high).contains(&value)
+    }
 }
 
 /// What a shot of the series contributed.
@@ -64,25 +87,67 @@ pub struct CardResidual {
     /// Flash energy of this shot relative to [`FlashCalibration::energy_counts`], as the photodiode measured it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measured_gain: Option<f64>,
-    /// Root mean square of (measured / model - 1) over the blocks.
+    /// Root mean square of (measured / model - 1) over the cells, the shot's own energy taken out.
     pub rms: f64,
-    /// Share of blocks that were clipped and left out.
+    /// Share of cells that were clipped and left out.
     pub clipped: f64,
     /// Whether the shot entered the fit.
     pub used: bool,
+    /// Why it did not, in words.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub left_out: Option<String>,
+    /// Its light over what a fit without it predicts, less 1; absent if no such fit can be made.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prediction_error: Option<f64>,
+    /// Kept from the fit on purpose, to check it.
+    #[serde(default)]
+    pub held_out: bool,
+}
+
+/// What the fit says beside the figures that processing uses. What is absent the shots cannot tell.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FlashFindings {
+    /// Radiance per channel, DN.
+    pub radiance_dn: Option<[Interval; 3]>,
+    /// Where the ring's plane lies along the axis, towards the scene positive.
+    pub offset_m: Option<Interval>,
+    /// Exponent n of the lobe cos^n; only where the vignetting was given.
+    pub lobe_exponent: Option<Interval>,
+    /// The ring's radii as the shots tell them; the calibration keeps the ruler's.
+    pub inner_radius_m: Option<Interval>,
+    /// Outer.
+    pub outer_radius_m: Option<Interval>,
+    /// p of a law 1 / d^p for a small lamp.
+    pub distance_exponent: Option<Interval>,
+    /// Whether `field` is the lens's vignetting alone; otherwise it is vignetting times lobe.
+    pub vignetting_given: bool,
+    /// Relative standard deviation of the energy between shots; what of it the controller measured is taken out.
+    pub jitter_deviation: f64,
+    /// Whether that is the usual value because the shots are too few to tell.
+    pub jitter_assumed: bool,
+    /// Variance of the residuals within shots over the sensor's.
+    pub dispersion: f64,
+    /// Mean size of the relative error by which fits without a shot predict it, over the shots used.
+    pub left_one_out_error: Option<f64>,
+    /// Mean size of the relative error of prediction, over the shots that were held out.
+    pub held_out_error: Option<f64>,
+    /// Light of all cells used over that of a second render with the figures found, red green blue.
+    pub second_render_ratio: [f64; 3],
+    /// The card's factor over the angle (radians), as given.
+    pub target_curve: Vec<[f64; 2]>,
 }
 
 /// The flash as processing uses it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FlashCalibration {
-    /// Geometry of the ring (given, not fitted).
+    /// Geometry of the ring: radii as given, offset and lobe as fitted.
     pub ring: Ring,
     /// Radiance per channel in DN: a surface of reflectance rho under irradiance-per-radiance E1 reads
     /// `radiance * g * E1 * rho / pi`.
     pub radiance: [f64; 3],
-    /// Standard error of `radiance` from the spread between shots; absent with a single shot.
+    /// Standard error of `radiance`, the flash's jitter included; absent if it did not come from a fit.
     pub radiance_error: Option<[f64; 3]>,
-    /// Vignetting times lobe.
+    /// Vignetting times lobe; vignetting alone where that was given.
     pub field: FieldFactor,
     /// Sensor noise, measured on the same shots.
     pub noise: NoiseModel,
@@ -97,9 +162,12 @@ pub struct FlashCalibration {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub energy_counts: Option<f64>,
     /// Every shot with its residuals.
-    pub shots: Vec<CardResidual>,
-    /// Root mean square of (measured / model - 1) over all blocks used.
+    pub cards: Vec<CardResidual>,
+    /// Root mean square of (measured / model - 1) over all cells used, each shot's own energy taken out.
     pub rms: f64,
+    /// Intervals and tests.
+    #[serde(default)]
+    pub findings: FlashFindings,
 }
 
 /// Why no calibration came out.
@@ -110,6 +178,11 @@ pub enum FlashFitError {
         "target reflectance {0} is not possible: give the card's diffuse reflectance between 0 and 1, for example 0.94"
     )]
     Reflectance(f64),
+    /// A curve that is none.
+    #[error(
+        "the target's curve is not possible: give angles in radians, rising, from 0 to below pi / 2, each with a factor above 0"
+    )]
+    Curve,
     /// A distance that cannot be.
     #[error(
         "{label}: distance {distance} m is not possible: give metres from the lens to the card, greater than 0"
@@ -119,6 +192,14 @@ pub enum FlashFitError {
         label: String,
         /// What was given.
         distance: f64,
+    },
+    /// A plane that cannot be.
+    #[error(
+        "{label}: the card does not face the camera: give a unit normal that points from the card to the camera, at most 80 degrees off the axis"
+    )]
+    Plane {
+        /// File.
+        label: String,
     },
     /// Sizes differ.
     #[error(
@@ -137,311 +218,280 @@ pub enum FlashFitError {
         "the card shots are off the model by {0:.0} %: does the card fill the frame and face the camera, and are the distances and ring radii in metres?"
     )]
     Residual(f64),
+    /// The search found no end.
+    #[error(
+        "no ring flash of these radii explains the card shots: check distances and radii (metres), and shoot the card at two distances or more"
+    )]
+    Vague,
     /// Nothing usable.
     #[error(
-        "no card shot has light to measure: all are over-exposed or dark ({0}); shoot the card farther away, or check that the flash fired"
+        "no card shot has light to measure ({0}); shoot the card farther away if it is over-exposed, or check that the flash fired"
     )]
     Nothing(String),
 }
 
-impl FieldFactor {
-    /// Factor at a pixel position.
-    pub fn at(&self, intrinsics: &Intrinsics, pixel: DVec2) -> f64 {
-        self.at_q(field_q(intrinsics, pixel))
-    }
-
-    fn at_q(&self, q: f64) -> f64 {
-        let [a, b, c] = self.coefficients;
-        1.0 + q * (a + q * (b + q * c))
-    }
+/// What the fit is told beside the shots.
+#[derive(Clone, Debug)]
+pub struct FlashFacts<'a> {
+    /// Of the camera that took the shots.
+    pub intrinsics: &'a Intrinsics,
+    /// The ring by the ruler.
+    pub ring: Ring,
+    /// The card.
+    pub target: &'a Target,
+    /// The sensor.
+    pub noise: NoiseModel,
+    /// The lens's vignetting, where a flat field tells it.
+    pub vignetting: Option<FieldFactor>,
 }
 
-/// (r / half diagonal)^2 of a pixel position.
-fn field_q(intrinsics: &Intrinsics, pixel: DVec2) -> f64 {
-    let half = DVec2::new(intrinsics.width as f64, intrinsics.height as f64) / 2.0;
-    (pixel - intrinsics.principal).length_squared() / half.length_squared()
-}
-
-/// A block of sites of one shot and channel.
-struct Block {
-    shot: usize,
-    channel: usize,
-    q: f64,
-    /// E1 rho_t / pi.
-    unit: f64,
-    value: f64,
-    weight: f64,
-}
-
-/// Fits radiance and field factor. `intrinsics` are those of the camera that took the shots; the card stands
-/// square to its axis.
-pub fn fit_flash(
-    shots: &[CardShot],
-    intrinsics: &Intrinsics,
-    ring: Ring,
-    target_reflectance: f64,
-    noise: NoiseModel,
-) -> Result<FlashCalibration, FlashFitError> {
-    if !(target_reflectance > 0.0 && target_reflectance <= 1.0) {
-        return Err(FlashFitError::Reflectance(target_reflectance));
-    }
-    let (mut blocks, mut clipped) = (vec![], vec![]);
-    for (index, shot) in shots.iter().enumerate() {
-        check(shot, intrinsics)?;
-        let (of_shot, share) = blocks_of(index, shot, intrinsics, &ring, target_reflectance);
-        if share <= 1.0 - LEAST_USABLE {
-            blocks.extend(of_shot);
-        }
-        clipped.push(share);
-    }
-    let lit = blocks.iter().map(|b| b.value).sum::<f64>() > 0.0;
-    if blocks.is_empty() || !lit {
-        let labels: Vec<&str> = shots.iter().map(|s| s.label.as_str()).collect();
-        return Err(FlashFitError::Nothing(labels.join(", ")));
-    }
-    let mut field = FieldFactor { coefficients: [0.0; 3] };
-    let mut strength = strengths(&blocks, shots.len(), &field);
-    for _ in 0..30 {
-        field = fit_field(&blocks, &strength);
-        strength = strengths(&blocks, shots.len(), &field);
-    }
-    let used: Vec<usize> = (0..shots.len()).filter(|&s| strength[s].is_some()).collect();
-    // Each shot's own energy, where the controller measured them all, is known better than the cards' distances: it
-    // is divided out before the mean is taken.
+/// Fits radiance, field and place of the ring to card shots. ISO and aperture are the caller's to fill in.
+pub fn fit_flash(shots: &[CardShot], facts: &FlashFacts) -> Result<FlashCalibration, FlashFitError> {
+    check_target(facts.target)?;
+    shots.iter().try_for_each(|shot| check(shot, facts.intrinsics))?;
+    let reasons: Vec<Option<String>> = shots.iter().map(unfit).collect();
+    let used: Vec<usize> = (0..shots.len()).filter(|&s| reasons[s].is_none() && !shots[s].held_out).collect();
+    let nothing = || {
+        let told: Vec<String> = shots
+            .iter()
+            .zip(&reasons)
+            .map(|(s, why)| format!("{}: {}", s.label, why.as_deref().unwrap_or("kept from the fit")))
+            .collect();
+        FlashFitError::Nothing(told.join("; "))
+    };
+    // Each shot's own energy, where the controller measured them all, is known better than the fit could tell it.
     let energies: Option<Vec<f64>> =
         used.iter().map(|&s| shots[s].energy_counts.filter(|e| *e > 0.0)).collect();
-    let energy_counts = energies.map(|e| e.iter().sum::<f64>() / e.len() as f64);
-    let measured_gain = |s: usize| Some(shots[s].energy_counts? / energy_counts?);
-    let at = |s: usize, c: usize| strength[s].map_or(0.0, |k| k[c] / measured_gain(s).unwrap_or(1.0));
-    let radiance: [f64; 3] =
-        std::array::from_fn(|c| used.iter().map(|&s| at(s, c)).sum::<f64>() / used.len() as f64);
-    let radiance_error = (used.len() > 1).then(|| {
-        std::array::from_fn(|c| {
-            let n = used.len() as f64;
-            let spread = used.iter().map(|&s| (at(s, c) - radiance[c]).powi(2)).sum::<f64>() / (n - 1.0);
-            (spread / n).sqrt()
-        })
-    });
-    let relative =
-        |b: &Block| strength[b.shot].map(|k| b.value / (k[b.channel] * field.at_q(b.q) * b.unit) - 1.0);
-    let rms = |wanted: Option<usize>| {
-        let errors: Vec<f64> =
-            blocks.iter().filter(|b| wanted.is_none_or(|s| s == b.shot)).filter_map(relative).collect();
-        (errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64).sqrt()
+    let energy_counts = energies.filter(|e| !e.is_empty()).map(|e| e.iter().sum::<f64>() / e.len() as f64);
+    let measured_gain = |s: usize| Some(shots[s].energy_counts.filter(|e| *e > 0.0)? / energy_counts?);
+    let setting = Setting {
+        intrinsics: facts.intrinsics,
+        ring: facts.ring,
+        target: facts.target,
+        noise: facts.noise,
     };
-    if let Some(c) = (0..3).find(|&c| radiance[c].is_nan() || radiance[c] <= 0.0) {
-        return Err(FlashFitError::Nothing(format!(
-            "no light in the {} channel",
-            ["red", "green", "blue"][c]
-        )));
+    let seen: Vec<SeenShot> =
+        (0..shots.len()).map(|s| setting.see(&shots[s], measured_gain(s).unwrap_or(1.0))).collect();
+    let (used, cards): (Vec<usize>, Vec<SeenShot>) =
+        used.into_iter().map(|s| (s, seen[s].clone())).filter(|(_, c)| c.cells.len() >= FEWEST_CELLS).unzip();
+    if used.is_empty() {
+        return Err(nothing());
     }
-    if rms(None) > MOST_RESIDUAL {
-        return Err(FlashFitError::Residual(100.0 * rms(None)));
+    let guess = first_guess(&cards, facts.ring, facts.vignetting).ok_or_else(nothing)?;
+    let fits = Fits { cards: &cards, ring: facts.ring, guess, vignetting: facts.vignetting };
+    let (model, solution) = fits.main().ok_or(FlashFitError::Vague)?;
+    let flash = model.flash(&solution.theta).ok_or(FlashFitError::Vague)?;
+
+    let shot_rms: Vec<f64> = solution.sums.iter().map(mixed::ShotSums::rms).collect();
+    let count: f64 = solution.sums.iter().map(|s| s.count).sum();
+    let squares: f64 = solution.sums.iter().zip(&shot_rms).map(|(s, rms)| s.count * rms * rms).sum();
+    let rms = (squares / count).sqrt();
+    if !(rms <= MOST_RESIDUAL) {
+        return Err(FlashFitError::Residual(100.0 * rms));
     }
-    let residuals = shots
-        .iter()
-        .enumerate()
-        .map(|(s, shot)| CardResidual {
+    let single = used.len() == 1;
+    let residuals = shots.iter().enumerate().map(|(s, shot)| {
+        let energy = measured_gain(s).unwrap_or(1.0);
+        let place = used.iter().position(|u| *u == s);
+        let sums = match (place, &reasons[s]) {
+            (Some(place), _) => Some(solution.sums[place].clone()),
+            (None, None) => model.sums_of(&seen[s], &flash).filter(|s| s.w > 0.0),
+            (None, Some(_)) => None,
+        };
+        let prediction_error = match place {
+            Some(_) if single => None,
+            Some(place) => solution.left_out(place),
+            None => sums.as_ref().map(mixed::ShotSums::own),
+        };
+        CardResidual {
             label: shot.label.clone(),
-            distance: shot.distance,
-            gain: strength[s].map_or(0.0, |k| (0..3).map(|c| k[c] / radiance[c]).sum::<f64>() / 3.0),
+            distance: shot.plane.distance(),
+            gain: sums.as_ref().map_or(0.0, |sums| energy * (1.0 + sums.own())),
             measured_gain: measured_gain(s),
-            rms: rms(Some(s)),
-            clipped: clipped[s],
-            used: strength[s].is_some(),
-        })
-        .collect();
+            rms: sums.as_ref().map_or(0.0, mixed::ShotSums::rms),
+            clipped: shot.clipped,
+            used: place.is_some(),
+            left_out: match place {
+                Some(_) => None,
+                None => Some(reasons[s].clone().unwrap_or_else(|| "kept from the fit, to check it".into())),
+            },
+            prediction_error,
+            held_out: shot.held_out,
+        }
+    });
+    let cards_told: Vec<CardResidual> = residuals.collect();
+    let findings = fits.findings(&model, &solution, &cards_told, facts.target);
+    let unit = |i: usize| (0..solution.theta.len()).map(|j| f64::from(u8::from(i == j))).collect::<Vec<_>>();
     Ok(FlashCalibration {
-        ring,
-        radiance,
-        radiance_error,
-        field,
-        noise,
-        target_reflectance,
+        ring: flash.ring,
+        radiance: flash.radiance,
+        radiance_error: Some(std::array::from_fn(|c| flash.radiance[c] * solution.error(&unit(c)))),
+        field: flash.field,
+        noise: facts.noise,
+        target_reflectance: facts.target.reflectance,
         iso: None,
         aperture: None,
         energy_counts,
-        shots: residuals,
-        rms: rms(None),
+        cards: cards_told,
+        rms,
+        findings,
     })
 }
 
-fn check(shot: &CardShot, intrinsics: &Intrinsics) -> Result<(), FlashFitError> {
-    if !(shot.distance > 0.0 && shot.distance < 1e3) {
-        return Err(FlashFitError::Distance { label: shot.label.clone(), distance: shot.distance });
+/// The fits to one series.
+struct Fits<'a> {
+    cards: &'a [SeenShot],
+    ring: Ring,
+    guess: [f64; 3],
+    vignetting: Option<FieldFactor>,
+}
+
+impl<'a> Fits<'a> {
+    fn with(&self, figures: Vec<Figure>) -> Option<(Cards<'a>, Solution)> {
+        let model = Cards::new(self.cards, self.ring, self.guess, self.vignetting, figures);
+        let solution = solve(&model, model.start(), Jitter::Found { otherwise: USUAL_JITTER })?;
+        Some((model, solution))
     }
-    let got = (shot.known.value.width(), shot.known.value.height());
+
+    /// The fit that counts: what the shots cannot tell stays at the ruler's value.
+    fn main(&self) -> Option<(Cards<'a>, Solution)> {
+        let mut figures = vec![Figure::Offset];
+        figures.extend(self.vignetting.map(|_| Figure::Lobe));
+        let (model, solution) = match self.with(figures.clone()) {
+            Some(fit) => fit,
+            None => return self.with(vec![]),
+        };
+        let told: Vec<Figure> = figures.iter().copied().filter(|f| tells(&model, &solution, *f)).collect();
+        if told.len() == figures.len() { Some((model, solution)) } else { self.with(told) }
+    }
+
+    fn findings(
+        &self,
+        model: &Cards,
+        solution: &Solution,
+        cards: &[CardResidual],
+        target: &Target,
+    ) -> FlashFindings {
+        let settled: Vec<Figure> =
+            [Figure::Offset, Figure::Lobe].into_iter().filter(|f| model.place(*f).is_some()).collect();
+        let more = |figures: &[Figure]| self.with([settled.as_slice(), figures].concat());
+        let exponent = more(&[Figure::Exponent])
+            .filter(|(model, fit)| tells(model, fit, Figure::Exponent))
+            .and_then(|(model, fit)| interval(&model, &fit, Figure::Exponent, 2.0));
+        let radii = more(&[Figure::Inner, Figure::Outer]);
+        let radius = |figure, ruler| {
+            let (model, fit) = radii.as_ref()?;
+            tells(model, fit, figure).then(|| interval(model, fit, figure, ruler)).flatten()
+        };
+        let mean_size = |wanted: &dyn Fn(&CardResidual) -> bool| {
+            let errors: Vec<f64> =
+                cards.iter().filter(|c| wanted(c)).filter_map(|c| Some(c.prediction_error?.abs())).collect();
+            (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
+        };
+        let radiance_dn = std::array::from_fn(|c| {
+            let mut form = vec![0.0; solution.theta.len()];
+            form[c] = 1.0;
+            let (value, half) = (self.guess[c] * solution.theta[c].exp(), solution.half_interval(&form));
+            Interval { value, low: value * (-half).exp(), high: value * half.exp() }
+        });
+        FlashFindings {
+            radiance_dn: Some(radiance_dn),
+            offset_m: interval(model, solution, Figure::Offset, self.ring.offset),
+            lobe_exponent: interval(model, solution, Figure::Lobe, self.ring.lobe),
+            inner_radius_m: radius(Figure::Inner, self.ring.inner),
+            outer_radius_m: radius(Figure::Outer, self.ring.outer),
+            distance_exponent: exponent,
+            vignetting_given: self.vignetting.is_some(),
+            jitter_deviation: solution.variance.sqrt(),
+            jitter_assumed: solution.freedom.is_none(),
+            dispersion: solution.dispersion,
+            left_one_out_error: mean_size(&|c| c.used),
+            held_out_error: mean_size(&|c| c.held_out && !c.used),
+            second_render_ratio: self.second_render(model, solution),
+            target_curve: target.curve.clone(),
+        }
+    }
+
+    /// Light of all cells over that of a render with the figures found (thesis, table 3.4).
+    fn second_render(&self, model: &Cards, solution: &Solution) -> [f64; 3] {
+        let (mut measured, mut rendered) = ([0.0; 3], [0.0; 3]);
+        let Some(flash) = model.flash(&solution.theta) else { return [1.0; 3] };
+        for (shot, sums) in self.cards.iter().zip(&solution.sums) {
+            let own = shot.energy * (1.0 + sums.own());
+            for cell in &shot.cells {
+                let light = flash.ring.irradiance(cell.point, shot.normal) * cell.target;
+                let unit = light * flash.field.at_q(cell.q) * own;
+                for c in 0..3 {
+                    measured[c] += cell.value[c];
+                    rendered[c] += flash.radiance[c] * unit;
+                }
+            }
+        }
+        std::array::from_fn(|c| measured[c] / rendered[c])
+    }
+}
+
+/// Half of a figure's 95 % interval.
+fn half(model: &Cards, solution: &Solution, figure: Figure) -> Option<(usize, f64)> {
+    let place = model.place(figure)?;
+    let mut form = vec![0.0; solution.theta.len()];
+    form[place] = 1.0;
+    Some((place, solution.half_interval(&form)))
+}
+
+/// Whether the shots tell a figure well enough to be of use.
+fn tells(model: &Cards, solution: &Solution, figure: Figure) -> bool {
+    half(model, solution, figure).is_some_and(|(_, half)| half <= figure.widest())
+}
+
+fn interval(model: &Cards, solution: &Solution, figure: Figure, ruler: f64) -> Option<Interval> {
+    let (place, half) = half(model, solution, figure)?;
+    Some(Interval::around(ruler + solution.theta[place], half))
+}
+
+fn check_target(target: &Target) -> Result<(), FlashFitError> {
+    if !(target.reflectance > 0.0 && target.reflectance <= 1.0) {
+        return Err(FlashFitError::Reflectance(target.reflectance));
+    }
+    let rising = target.curve.windows(2).all(|w| w[0][0] < w[1][0]);
+    let sound = |[angle, factor]: &[f64; 2]| (0.0..1.57).contains(angle) && *factor > 0.0 && *factor < 10.0;
+    if rising && target.curve.iter().all(sound) { Ok(()) } else { Err(FlashFitError::Curve) }
+}
+
+fn check(shot: &CardShot, intrinsics: &Intrinsics) -> Result<(), FlashFitError> {
+    let label = || shot.label.clone();
+    let normal = shot.plane.normal;
+    if !((normal.length() - 1.0).abs() < 1e-6 && normal.z < -0.17 && shot.plane.point.is_finite()) {
+        return Err(FlashFitError::Plane { label: label() });
+    }
+    let distance = shot.plane.distance();
+    if !(distance > 0.0 && distance < 1e3) {
+        return Err(FlashFitError::Distance { label: label(), distance });
+    }
     let expected = (intrinsics.width, intrinsics.height);
-    if got != expected {
-        return Err(FlashFitError::Size { label: shot.label.clone(), got, expected });
+    if shot.size != expected {
+        return Err(FlashFitError::Size { label: label(), got: shot.size, expected });
     }
     Ok(())
 }
 
-/// Means over whole blocks, and the share of blocks that clipping took.
-fn blocks_of(
-    index: usize,
-    shot: &CardShot,
-    intrinsics: &Intrinsics,
-    ring: &Ring,
-    reflectance: f64,
-) -> (Vec<Block>, f64) {
-    let camera =
-        Camera { name: String::new(), intrinsics: *intrinsics, world_from_camera: DAffine3::IDENTITY };
-    let known = &shot.known;
-    let (mut out, mut all, mut lost) = (vec![], 0, 0);
-    for y in (0..(intrinsics.height + 1).saturating_sub(BLOCK)).step_by(BLOCK) {
-        for x in (0..(intrinsics.width + 1).saturating_sub(BLOCK)).step_by(BLOCK) {
-            let sites = (y..y + BLOCK).flat_map(|y| (x..x + BLOCK).map(move |x| (x, y)));
-            let (mut sum, mut variance, mut count) = ([0.0; 3], [0.0; 3], [0.0f64; 3]);
-            let mut place = [DVec2::ZERO; 3];
-            let mut whole = true;
-            for (sx, sy) in sites {
-                let c = known.cfa.colour(sx, sy);
-                match known.value.at(sx, sy) {
-                    Some(v) => sum[c] += f64::from(*v),
-                    None => whole = false,
-                }
-                variance[c] += f64::from(*known.variance.at(sx, sy));
-                count[c] += 1.0;
-                place[c] += DVec2::new(sx as f64 + 0.5, sy as f64 + 0.5);
-            }
-            all += 1;
-            if !whole {
-                lost += 1;
-                continue;
-            }
-            for channel in 0..3 {
-                let (n, value) = (count[channel], sum[channel] / count[channel]);
-                let pixel = place[channel] / n;
-                let unit = ring.irradiance(camera.ray(pixel) * shot.distance, -DVec3::Z) * reflectance / PI;
-                let error = variance[channel] / (n * n) + (MODEL_ERROR * value).powi(2);
-                if n > 0.0 && unit > 0.0 && error > 0.0 {
-                    let q = field_q(intrinsics, pixel);
-                    out.push(Block { shot: index, channel, q, unit, value, weight: 1.0 / error });
-                }
-            }
-        }
+/// Why a shot cannot be measured, in words.
+fn unfit(shot: &CardShot) -> Option<String> {
+    if shot.clipped > MOST_CLIPPED {
+        return Some(format!(
+            "over-exposed: clipped sites in {:.0} % of the frame; put the card farther away, close the aperture or turn the flash down",
+            100.0 * shot.clipped
+        ));
     }
-    (out, if all > 0 { f64::from(lost) / f64::from(all) } else { 1.0 })
-}
-
-/// k_s R_c of every shot, given the field factor; `None` for a shot without blocks.
-fn strengths(blocks: &[Block], shots: usize, field: &FieldFactor) -> Vec<Option<[f64; 3]>> {
-    let mut sums = vec![[[0.0f64; 2]; 3]; shots];
-    for b in blocks {
-        let model = field.at_q(b.q) * b.unit;
-        let sum = &mut sums[b.shot][b.channel];
-        sum[0] += b.weight * model * b.value;
-        sum[1] += b.weight * model * model;
+    if shot.cells.len() < FEWEST_CELLS {
+        return Some("its frame is too small to measure".into());
     }
-    let solved = |s: &[[f64; 2]; 3]| s.iter().all(|x| x[1] > 0.0).then(|| s.map(|x| x[0] / x[1]));
-    sums.iter().map(solved).collect()
-}
-
-/// Coefficients of the field factor, given the strengths: normal equations of four unknowns. The constant is
-/// fitted too, or strengths and field would creep towards each other for ever, and then divided out.
-fn fit_field(blocks: &[Block], strength: &[Option<[f64; 3]>]) -> FieldFactor {
-    let (mut m, mut r) = (DMat4::ZERO, DVec4::ZERO);
-    for b in blocks {
-        let Some(k) = strength[b.shot] else { continue };
-        let row = DVec4::new(1.0, b.q, b.q * b.q, b.q * b.q * b.q) * k[b.channel] * b.unit;
-        m += DMat4::from_cols(row * row.x, row * row.y, row * row.z, row * row.w) * b.weight;
-        r += row * b.value * b.weight;
-    }
-    // A ridge far below what the data weigh, for frames too small to bend.
-    m += DMat4::from_diagonal(DVec4::splat((1e-9 * m.x_axis.x).max(f64::MIN_POSITIVE)));
-    let a = m.inverse() * r;
-    let coefficients = a.yzw() / a.x;
-    FieldFactor { coefficients: if coefficients.is_finite() { coefficients.to_array() } else { [0.0; 3] } }
+    let n = shot.cells.len() as f64;
+    let mean = |c: usize| shot.cells.iter().map(|cell| cell.value[c]).sum::<f64>() / n;
+    let dark = (0..3).any(|c| !(mean(c) > 1.0));
+    dark.then(|| "dark: the flash did not fire, or its light did not reach the card".into())
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::photometry::Cfa;
-    use crate::raster::Image;
-    use crate::scene::Distortion;
-
-    fn intrinsics() -> Intrinsics {
-        Intrinsics {
-            width: 240,
-            height: 160,
-            focal: DVec2::splat(300.0),
-            principal: DVec2::new(120.0, 80.0),
-            distortion: Distortion::default(),
-        }
-    }
-
-    fn shot(distance: f64, gain: f64, clip: f64) -> CardShot {
-        let (lens, ring) = (intrinsics(), Ring::new(0.035, 0.085).unwrap());
-        let camera = Camera { name: String::new(), intrinsics: lens, world_from_camera: DAffine3::IDENTITY };
-        let value = Image::from_fn(240, 160, |x, y| {
-            let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-            let q = field_q(&lens, pixel);
-            let e = ring.irradiance(camera.ray(pixel) * distance, -DVec3::Z);
-            let r = [2.0e5, 4.0e5, 2.5e5][Cfa::RGGB.colour(x, y)];
-            let v = gain * r * (1.0 - 0.11 * q - 0.02 * q * q) * e * 0.94 / PI;
-            (v < clip).then_some(v as f32)
-        });
-        let variance = value.map(|v| v.map_or(0.0, |v| 0.3 * v + 2.0));
-        CardShot {
-            label: format!("{distance}"),
-            distance,
-            known: KnownMosaic { value, variance, cfa: Cfa::RGGB },
-            energy_counts: None,
-        }
-    }
-
-    #[test]
-    fn radiance_and_field_factor_of_synthetic_cards_come_back() {
-        let shots = [shot(0.5, 1.0, 9e3), shot(0.8, 1.003, 9e3), shot(1.2, 0.997, 9e3)];
-        let noise = NoiseModel { gain: 0.3, floor: 2.0 };
-        let ring = Ring::new(0.035, 0.085).unwrap();
-        let fit = fit_flash(&shots, &intrinsics(), ring, 0.94, noise).unwrap();
-        for (got, want) in fit.radiance.iter().zip([2.0e5, 4.0e5, 2.5e5]) {
-            assert!((got / want - 1.0).abs() < 1e-3, "{:?}", fit.radiance);
-        }
-        for q in [0.1, 0.5, 0.9] {
-            let want = 1.0 - 0.11 * q - 0.02 * q * q;
-            assert!((fit.field.at_q(q) - want).abs() < 1e-3, "{:?}", fit.field);
-        }
-        assert!(fit.rms < 1e-3 && fit.shots[1].gain > fit.shots[2].gain);
-    }
-
-    #[test]
-    fn measured_energies_take_the_flashs_jitter_out_of_the_radiance() {
-        let noise = NoiseModel { gain: 0.3, floor: 2.0 };
-        let ring = Ring::new(0.035, 0.085).unwrap();
-        let gains = [1.0, 1.02, 0.96];
-        let mut shots: Vec<CardShot> =
-            [0.5, 0.8, 1.2].into_iter().zip(gains).map(|(d, gain)| shot(d, gain, 9e3)).collect();
-        let untold = fit_flash(&shots, &intrinsics(), ring, 0.94, noise).unwrap();
-        assert_eq!(untold.energy_counts, None);
-        shots.iter_mut().zip(gains).for_each(|(s, g)| s.energy_counts = Some(1e5 * g));
-        let told = fit_flash(&shots, &intrinsics(), ring, 0.94, noise).unwrap();
-        // The mean energy is 0.9933 of that to which the radiances below belong.
-        assert!((told.energy_counts.unwrap() / 0.99333e5 - 1.0).abs() < 1e-4);
-        for (got, want) in told.radiance.iter().zip([2.0e5, 4.0e5, 2.5e5]) {
-            assert!((got / (0.99333 * want) - 1.0).abs() < 1e-3, "{:?}", told.radiance);
-        }
-        let error = |fit: &FlashCalibration| fit.radiance_error.unwrap()[1] / fit.radiance[1];
-        assert!(error(&untold) > 0.015 && error(&told) < 0.001, "{} {}", error(&untold), error(&told));
-        let shot = &told.shots[1];
-        assert!((shot.gain / shot.measured_gain.unwrap() - 1.0).abs() < 1e-3, "{shot:?}");
-        shots[2].energy_counts = None;
-        assert_eq!(fit_flash(&shots, &intrinsics(), ring, 0.94, noise).unwrap().energy_counts, None);
-    }
-
-    #[test]
-    fn an_overexposed_series_is_refused_with_advice() {
-        let noise = NoiseModel { gain: 0.3, floor: 2.0 };
-        let ring = Ring::new(0.035, 0.085).unwrap();
-        let error = fit_flash(&[shot(0.5, 1.0, 1.0)], &intrinsics(), ring, 0.94, noise).unwrap_err();
-        assert!(error.to_string().contains("farther away"), "{error}");
-        assert!(matches!(
-            fit_flash(&[], &intrinsics(), ring, 1.4, noise),
-            Err(FlashFitError::Reflectance(_))
-        ));
-    }
-}
+#[path = "tests.rs"]
+mod tests;
