@@ -7,6 +7,7 @@ mod api_docs;
 mod attempts;
 mod avr;
 mod birdbath;
+mod calibrate_flash;
 mod camera;
 mod camera_faults;
 mod camera_usb;

@@ -1,6 +1,6 @@
 //! `unlit calibrate flash`, and `unlit calibrate repeatability` from frames.
 
-use crate::calibration::{FlashCalibration, Interval, Plane, Record, Target, Verdict};
+use crate::calibration::{FieldFactor, FlashCalibration, Interval, Plane, Record, Target, Verdict};
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pipeline::flash::{CardFacts, CardFiles, calibrate};
 use crate::pipeline::steadiness::{self, SteadyFile};
@@ -11,10 +11,6 @@ use std::path::{Path, PathBuf};
 const PAPER: f64 = 0.94;
 
 /// Arguments of `unlit calibrate flash`.
-///
-/// Put a flat, matt white card before the camera so that it fills the frame, in a dark room (or with an unlit frame
-/// beside every lit one). Shoot it at three distances or more, from the nearest at which nothing clips to the farthest
-/// at which you photograph, three times each, at one aperture and ISO and one power of the flash.
 #[derive(clap::Args)]
 pub(super) struct FlashArgs {
     /// Session folder.
@@ -42,6 +38,10 @@ pub(super) struct FlashArgs {
     /// Keeps every K-th shot from the fit, to check it.
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(2..))]
     hold_out_every: Option<u32>,
+    /// Coefficients of the lens's vignetting 1 + a1 q + a2 q^2 + a3 q^3, q = (r / half diagonal)^2, at this aperture, where
+    /// a flat field told them. Only then can the flash's own lobe be told.
+    #[arg(long, value_name = "A1,A2,A3", value_parser = coefficients, allow_hyphen_values = true)]
+    vignetting: Option<[f64; 3]>,
     /// Focal length in pixels, where no scene is imported yet: focal length in mm * image width in pixels /
     /// sensor width in mm.
     #[arg(long, value_name = "PX")]
@@ -53,6 +53,10 @@ pub(super) struct FlashArgs {
 
 fn radii(text: &str) -> Result<[f64; 2], String> {
     numbers(text).ok_or_else(|| "give inner and outer radius in metres, for example 0.035,0.085".into())
+}
+
+fn coefficients(text: &str) -> Result<[f64; 3], String> {
+    numbers(text).ok_or_else(|| "give three coefficients, for example -0.11,-0.02,0".into())
 }
 
 fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
@@ -111,7 +115,7 @@ pub(super) fn flash(args: &FlashArgs) -> CliResult {
     let facts = CardFacts {
         target,
         paper: args.target_reflectance.is_none(),
-        vignetting: None,
+        vignetting: args.vignetting.map(|coefficients| FieldFactor { coefficients }),
         ring_radii: args.ring_radii,
         focal_px: args.focal_px,
     };
@@ -157,7 +161,8 @@ fn tell(record: &Record<FlashCalibration>) {
         println!("95 % intervals:       {} DN", ends.join(", "));
     }
     let [a1, a2, a3] = fit.field.coefficients;
-    println!("vignetting times lobe: 1 {a1:+.4} q {a2:+.4} q^2 {a3:+.4} q^3, q = (r / half diagonal)^2");
+    let field = if fit.findings.vignetting_given { "vignetting as given" } else { "vignetting times lobe" };
+    println!("{field}: 1 {a1:+.4} q {a2:+.4} q^2 {a3:+.4} q^3, q = (r / half diagonal)^2");
     println!("flash's jitter: {:.2} %", 100.0 * fit.findings.jitter_deviation);
     println!("noise: variance = {:.4} DN * signal + {:.2} DN^2", fit.noise.gain, fit.noise.floor);
     println!("residual over all shots: {:.2} %", 100.0 * fit.rms);

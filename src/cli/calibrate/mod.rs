@@ -17,17 +17,22 @@ use std::path::PathBuf;
 #[derive(clap::Subcommand)]
 pub(super) enum Calibrate {
     /// The flash, from shots of a white card that fills the frame and faces the camera.
+    ///
+    /// Put a flat, matt white card before the camera so that it fills the frame, in a dark room (or with an unlit frame
+    /// beside every lit one). Shoot it at three distances or more, from the nearest at which nothing clips to the
+    /// farthest at which you photograph, three times each, at one aperture and ISO and one power of the flash. The shutter
+    /// may differ: a flash is an energy, not a power.
     Flash(FlashArgs),
     /// Where the sensor clips, from deliberately blown frames: one at every ISO in use.
     Saturation(SaturationArgs),
-    /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller.
+    /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller; or from lit frames alone.
     Repeatability(RepeatabilityArgs),
 }
 
 /// Arguments of `unlit calibrate repeatability`.
 #[derive(clap::Args)]
 pub(super) struct RepeatabilityArgs {
-    /// Session folder. Only figures are kept in it, no frames.
+    /// Session folder. Of shots taken with the controller only figures are kept in it, no frames.
     session: PathBuf,
     /// How many shots to take, each a frame without flash and one with; 8 or more.
     #[arg(long, value_name = "N", default_value_t = 40)]
