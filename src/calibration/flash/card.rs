@@ -170,9 +170,9 @@ fn cell(on: &Mosaic, off: Option<(&Mosaic, f64)>, first: (usize, usize), edge: u
             sites[c] += 1.0;
         }
     }
-    let mean = |sum: [f64; 3]| std::array::from_fn(|c| sum[c] / sites[c].max(1.0));
+    let mean = |sum: [f64; 3]| -> [f64; 3] { std::array::from_fn(|c| sum[c] / sites[c].max(1.0)) };
     let centre = DVec2::new(first.0 as f64, first.1 as f64) + edge as f64 / 2.0;
-    Some(Cell { centre, value: mean(value), signal: mean(signal).map(|s: f64| s.max(0.0)), sites })
+    Some(Cell { centre, value: mean(value), signal: mean(signal).map(|s| s.max(0.0)), sites })
 }
 
 /// A cell as the model needs it.

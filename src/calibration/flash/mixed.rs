@@ -24,7 +24,7 @@ const MOST_ROUNDS: usize = 60;
 const CLOSE: f64 = 1e-3;
 
 /// Degrees of freedom that the shots must leave for the jitter to be found from them.
-pub(super) const LEAST_FREEDOM: f64 = 1.5;
+const LEAST_FREEDOM: f64 = 1.5;
 
 /// What the fit needs of one shot at some parameters; residuals and derivatives are relative to the model, weights by
 /// the sensor's variance alone.
@@ -82,15 +82,6 @@ pub(super) trait Model {
     fn sums(&self, theta: &[f64]) -> Option<Vec<ShotSums>>;
     /// Precision of the knowledge that each parameter is 0, beforehand.
     fn precision(&self) -> &[f64];
-}
-
-/// The jitter of the shots.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Jitter {
-    /// Known beforehand, relative standard deviation.
-    Known(f64),
-    /// To be found from the shots; where they leave too little freedom the value given stands.
-    Found { otherwise: f64 },
 }
 
 /// What came out.
@@ -167,12 +158,9 @@ fn restricted(sums: &[ShotSums], precision: &[f64], variance: f64, phi: f64) -> 
     Some((score, information))
 }
 
-/// The jitter's variance and the degrees of freedom by which it is known.
-fn jitter(sums: &[ShotSums], precision: &[f64], wanted: Jitter, phi: f64) -> Option<(f64, Option<f64>)> {
-    let otherwise = match wanted {
-        Jitter::Known(sd) => return Some((sd * sd, None)),
-        Jitter::Found { otherwise } => otherwise * otherwise,
-    };
+/// The jitter's variance and the degrees of freedom by which it is known; that of `usual` where the shots leave too few.
+fn jitter(sums: &[ShotSums], precision: &[f64], usual: f64, phi: f64) -> Option<(f64, Option<f64>)> {
+    let otherwise = usual * usual;
     let freedom = |variance: f64| {
         restricted(sums, precision, variance, phi).map(|(_, twice)| variance * variance * twice)
     };
@@ -194,8 +182,9 @@ fn jitter(sums: &[ShotSums], precision: &[f64], wanted: Jitter, phi: f64) -> Opt
     Some((low, Some(freedom(low)?)))
 }
 
-/// Fits from a start. `None` if the shots cannot tell all parameters apart.
-pub(super) fn solve(model: &impl Model, start: Vec<f64>, wanted: Jitter) -> Option<Solution> {
+/// Fits from a start; `usual` is the jitter (relative standard deviation) that is taken where the shots are too few to tell
+/// it. `None` if the shots cannot tell all parameters apart.
+pub(super) fn solve(model: &impl Model, start: Vec<f64>, usual: f64) -> Option<Solution> {
     let precision = model.precision();
     let unknowns = start.len();
     let (mut theta, mut damping) = (start, 0.0f64);
@@ -203,7 +192,7 @@ pub(super) fn solve(model: &impl Model, start: Vec<f64>, wanted: Jitter) -> Opti
     let mut settled = 0;
     for _ in 0..MOST_ROUNDS {
         let phi = dispersion(&sums, unknowns);
-        let (variance, freedom) = jitter(&sums, precision, wanted, phi)?;
+        let (variance, freedom) = jitter(&sums, precision, usual, phi)?;
         let plain = normal(&sums, precision, variance, phi);
         let covariance = plain.inverse()?;
         if settled == 2 {
@@ -277,10 +266,10 @@ impl Solution {
 }
 
 /// 97.5 % point of the normal distribution.
-pub(super) const NORMAL: f64 = 1.959_964;
+const NORMAL: f64 = 1.959_964;
 
 /// 97.5 % point of Student's distribution, interpolated in 1 / degrees of freedom between tabled values.
-pub(super) fn student(freedom: f64) -> f64 {
+fn student(freedom: f64) -> f64 {
     const TABLE: [(f64, f64); 13] = [
         (1.0, 12.7062),
         (2.0, 4.3027),
@@ -337,7 +326,7 @@ mod tests {
     fn with_one_level_it_is_the_mean_of_the_shots_with_students_interval() {
         let means = [98.0, 101.0, 103.0, 99.5, 100.2];
         let shots = means.iter().map(|m| vec![m - 1e-3, *m, m + 1e-3]).collect();
-        let fit = solve(&Level { shots, deviation: 1e-3 }, vec![4.0], Jitter::Found { otherwise: 0.003 });
+        let fit = solve(&Level { shots, deviation: 1e-3 }, vec![4.0], 0.003);
         let fit = fit.unwrap();
         let mean = means.iter().sum::<f64>() / 5.0;
         let sd = (means.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / 4.0).sqrt();
@@ -354,7 +343,7 @@ mod tests {
         let fit = solve(
             &Level { shots: vec![vec![50.0; 9]], deviation: 0.1 },
             vec![3.0],
-            Jitter::Found { otherwise: 0.004 },
+            0.004,
         );
         let fit = fit.unwrap();
         assert_eq!(fit.freedom, None);

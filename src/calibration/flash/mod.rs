@@ -30,7 +30,7 @@ use crate::light::Ring;
 use crate::photometry::NoiseModel;
 use crate::scene::Intrinsics;
 use card::{SeenShot, Setting};
-use mixed::{Jitter, Solution, solve};
+use mixed::{Solution, solve};
 use model::{Cards, Figure, first_guess};
 use serde::{Deserialize, Serialize};
 
@@ -286,7 +286,7 @@ pub fn fit_flash(shots: &[CardShot], facts: &FlashFacts) -> Result<FlashCalibrat
     let count: f64 = solution.sums.iter().map(|s| s.count).sum();
     let squares: f64 = solution.sums.iter().zip(&shot_rms).map(|(s, rms)| s.count * rms * rms).sum();
     let rms = (squares / count).sqrt();
-    if !(rms <= MOST_RESIDUAL) {
+    if rms.is_nan() || rms > MOST_RESIDUAL {
         return Err(FlashFitError::Residual(100.0 * rms));
     }
     let single = used.len() == 1;
@@ -349,7 +349,7 @@ struct Fits<'a> {
 impl<'a> Fits<'a> {
     fn with(&self, figures: Vec<Figure>) -> Option<(Cards<'a>, Solution)> {
         let model = Cards::new(self.cards, self.ring, self.guess, self.vignetting, figures);
-        let solution = solve(&model, model.start(), Jitter::Found { otherwise: USUAL_JITTER })?;
+        let solution = solve(&model, model.start(), USUAL_JITTER)?;
         Some((model, solution))
     }
 
@@ -488,7 +488,7 @@ fn unfit(shot: &CardShot) -> Option<String> {
     }
     let n = shot.cells.len() as f64;
     let mean = |c: usize| shot.cells.iter().map(|cell| cell.value[c]).sum::<f64>() / n;
-    let dark = (0..3).any(|c| !(mean(c) > 1.0));
+    let dark = (0..3).any(|c| mean(c).is_nan() || mean(c) <= 1.0);
     dark.then(|| "dark: the flash did not fire, or its light did not reach the card".into())
 }
 

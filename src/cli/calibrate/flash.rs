@@ -12,7 +12,7 @@ const PAPER: f64 = 0.94;
 
 /// Arguments of `unlit calibrate flash`.
 #[derive(clap::Args)]
-pub(super) struct FlashArgs {
+pub(in crate::cli) struct FlashArgs {
     /// Session folder.
     session: PathBuf,
     /// The card's diffuse reflectance. Without it, office paper's 0.94 is assumed, which is neither measured nor quite
