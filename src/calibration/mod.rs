@@ -5,8 +5,8 @@ mod record;
 mod steadiness;
 
 pub use flash::{
-    CardResidual, CardShot, Cell, FieldFactor, FlashCalibration, FlashFacts, FlashFindings, FlashFitError, Interval,
-    Plane, Target, fit_flash,
+    CardResidual, CardShot, Cell, FieldFactor, FlashCalibration, FlashFacts, FlashFindings, FlashFitError,
+    Interval, Plane, Target, fit_flash,
 };
 pub use record::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
-pub use steadiness::{SteadyError, SteadyShot, Steadiness, steadiness};
+pub use steadiness::{Steadiness, SteadyError, SteadyShot, steadiness};

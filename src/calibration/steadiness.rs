@@ -62,7 +62,9 @@ pub struct Steadiness {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SteadyError {
     /// Too few.
-    #[error("{0} frames are too few to tell how steady the flash is: give at least {FEWEST}, the thesis took 40")]
+    #[error(
+        "{0} frames are too few to tell how steady the flash is: give at least {FEWEST}, the thesis took 40"
+    )]
     TooFew(usize),
     /// No light.
     #[error("{0} shows no flash light; leave it out, or check that the flash fired")]

@@ -1,8 +1,8 @@
 //! The processing that `unlit serve` sets off, as the desk wants it.
 
+use crate::calibration::{Plane, Target};
 use crate::capture::{CalibrationShot, FlashCard, SceneFiles, Works};
 use crate::jobs::WorkError;
-use crate::calibration::{Plane, Target};
 use crate::pipeline::flash::{self, CardFacts, CardFiles, FlashError};
 use crate::pipeline::process::{self, ProcessError, ProcessOptions};
 use crate::pipeline::scene::{self, Lengths, SceneError, Unit};
@@ -54,7 +54,12 @@ fn calibrate_flash(session: &Session, card: FlashCard, progress: &Progress) -> R
     let files = |shot: CalibrationShot| {
         let place = folder.join(&shot.name);
         let off = Some(place.join(&shot.off.file));
-        CardFiles { plane: Plane::facing(shot.distance_m), on: place.join(&shot.on.file), off, held_out: false }
+        CardFiles {
+            plane: Plane::facing(shot.distance_m),
+            on: place.join(&shot.on.file),
+            off,
+            held_out: false,
+        }
     };
     let shots: Vec<CardFiles> = card.shots.into_iter().map(files).collect();
     let facts = CardFacts {

@@ -13,7 +13,8 @@ fn summed(ring: &Ring, point: DVec3, normal: DVec3) -> f64 {
     let n = 400_000;
     let area = PI * (ring.outer.powi(2) - ring.inner.powi(2));
     let lamps = (0..n).map(|i| ring.at(&Place::spread(i, n), DVec2::X));
-    lamps.map(|lamp| form(lamp, point, normal) * ring.lobe_towards(lamp, point)).sum::<f64>() * area / n as f64
+    lamps.map(|lamp| form(lamp, point, normal) * ring.lobe_towards(lamp, point)).sum::<f64>() * area
+        / n as f64
 }
 
 #[test]

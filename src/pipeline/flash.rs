@@ -3,11 +3,12 @@
 
 use super::calibrate::{self, Series, SeriesError};
 use crate::calibration::{
-    CardShot, FieldFactor, FlashCalibration, FlashFacts, FlashFitError, OtherRig, Plane, Record, Rig, Target, fit_flash,
+    CardShot, FieldFactor, FlashCalibration, FlashFacts, FlashFitError, OtherRig, Plane, Record, Rig, Target,
+    fit_flash,
 };
 use crate::codec::raw::RawError;
-use crate::light::{Ring, RingError};
 use crate::export::chart::{self, Chart};
+use crate::light::{Ring, RingError};
 use crate::pair::{FlashRecord, FrameRecord, PairRecord, Settings};
 use crate::photometry::{IsolateError, NoNoise, NoiseGauge};
 use crate::pipeline::saturation::{self, SaturationError};
@@ -81,7 +82,9 @@ pub enum FlashError {
     #[error(transparent)]
     Series(SeriesError),
     /// A pair of another body or lens than the calibration's.
-    #[error("pair {name} does not fit the flash calibration: {source}; calibrate the flash with the rig that took the pairs")]
+    #[error(
+        "pair {name} does not fit the flash calibration: {source}; calibrate the flash with the rig that took the pairs"
+    )]
     OtherRig {
         /// The pair.
         name: String,
@@ -223,7 +226,10 @@ fn picture(fit: &FlashCalibration) -> Chart {
         caption: "Light of the card shots against the fitted flash, over the card's distance".into(),
         across: "Distance, m".into(),
         up: "Measured over fitted - 1, %".into(),
-        series: [named("used for the fit", false), named("kept from the fit", true)].into_iter().flatten().collect(),
+        series: [named("used for the fit", false), named("kept from the fit", true)]
+            .into_iter()
+            .flatten()
+            .collect(),
     }
 }
 

@@ -31,7 +31,9 @@ pub enum SteadinessError {
     #[error(transparent)]
     Energy(#[from] FlashError),
     /// A frame at other settings.
-    #[error("{label} was shot at other settings than the first frame; shoot all frames with one shutter, aperture and ISO")]
+    #[error(
+        "{label} was shot at other settings than the first frame; shoot all frames with one shutter, aperture and ISO"
+    )]
     Settings {
         /// The frame.
         label: String,
@@ -43,7 +45,9 @@ pub enum SteadinessError {
         label: String,
     },
     /// Clipped.
-    #[error("{label} is over-exposed where the first frame was not, or shows no unclipped site of a colour; shoot the series darker")]
+    #[error(
+        "{label} is over-exposed where the first frame was not, or shows no unclipped site of a colour; shoot the series darker"
+    )]
     Clipped {
         /// The frame.
         label: String,

@@ -44,7 +44,8 @@ fn card_shots() -> Vec<String> {
 fn calibrated(shots: &[String], more: &[&str]) -> (tempfile::TempDir, Value) {
     let folder = tempfile::tempdir().unwrap();
     let session = session(folder.path());
-    let mut arguments = vec!["calibrate", "flash", session.to_str().unwrap(), "--json", "--ring-radii", "0.035,0.085"];
+    let mut arguments =
+        vec!["calibrate", "flash", session.to_str().unwrap(), "--json", "--ring-radii", "0.035,0.085"];
     arguments.extend(["--focal-px", "758.3333333", "--target-reflectance", "0.94"]);
     arguments.extend(more);
     arguments.push("--shots");
@@ -129,7 +130,8 @@ fn steadiness_from_frames_is_that_of_the_scenes_own_energies_and_goes_when_they_
     let folder = tempfile::tempdir().unwrap();
     let session = session(folder.path());
     let run = |frames: Vec<String>| -> Value {
-        let mut arguments = vec!["calibrate", "repeatability", session.to_str().unwrap(), "--json", "--frames"];
+        let mut arguments =
+            vec!["calibrate", "repeatability", session.to_str().unwrap(), "--json", "--frames"];
         arguments.extend(frames.iter().map(String::as_str));
         serde_json::from_str(&unlit(&arguments)).unwrap()
     };

@@ -340,11 +340,7 @@ mod tests {
 
     #[test]
     fn a_single_shot_takes_the_jitter_that_is_given() {
-        let fit = solve(
-            &Level { shots: vec![vec![50.0; 9]], deviation: 0.1 },
-            vec![3.0],
-            0.004,
-        );
+        let fit = solve(&Level { shots: vec![vec![50.0; 9]], deviation: 0.1 }, vec![3.0], 0.004);
         let fit = fit.unwrap();
         assert_eq!(fit.freedom, None);
         assert!((fit.error(&[1.0]) / 0.004 - 1.0).abs() < 0.05);
@@ -353,7 +349,8 @@ mod tests {
 
     #[test]
     fn students_points_between_the_tabled_ones() {
-        for (freedom, point) in [(1.0, 12.706), (7.0, 2.3646), (12.0, 2.1788), (40.0, 2.0211), (1e9, 1.95996)] {
+        for (freedom, point) in [(1.0, 12.706), (7.0, 2.3646), (12.0, 2.1788), (40.0, 2.0211), (1e9, 1.95996)]
+        {
             assert!((student(freedom) / point - 1.0).abs() < 2e-3, "{freedom}");
         }
     }

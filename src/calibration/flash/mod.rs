@@ -264,12 +264,8 @@ pub fn fit_flash(shots: &[CardShot], facts: &FlashFacts) -> Result<FlashCalibrat
         used.iter().map(|&s| shots[s].energy_counts.filter(|e| *e > 0.0)).collect();
     let energy_counts = energies.filter(|e| !e.is_empty()).map(|e| e.iter().sum::<f64>() / e.len() as f64);
     let measured_gain = |s: usize| Some(shots[s].energy_counts.filter(|e| *e > 0.0)? / energy_counts?);
-    let setting = Setting {
-        intrinsics: facts.intrinsics,
-        ring: facts.ring,
-        target: facts.target,
-        noise: facts.noise,
-    };
+    let setting =
+        Setting { intrinsics: facts.intrinsics, ring: facts.ring, target: facts.target, noise: facts.noise };
     let seen: Vec<SeenShot> =
         (0..shots.len()).map(|s| setting.see(&shots[s], measured_gain(s).unwrap_or(1.0))).collect();
     let (used, cards): (Vec<usize>, Vec<SeenShot>) =

@@ -195,7 +195,11 @@ impl Model for Cards<'_> {
 }
 
 /// Radiances by which a first render has the light of all shots; `None` for a channel without light.
-pub(super) fn first_guess(shots: &[SeenShot], ring: Ring, vignetting: Option<FieldFactor>) -> Option<[f64; 3]> {
+pub(super) fn first_guess(
+    shots: &[SeenShot],
+    ring: Ring,
+    vignetting: Option<FieldFactor>,
+) -> Option<[f64; 3]> {
     let (mut measured, mut rendered) = ([0.0; 3], [0.0; 3]);
     for shot in shots {
         for cell in &shot.cells {

@@ -137,7 +137,11 @@ fn impossible_targets_and_places_are_refused() {
 fn a_single_shot_is_corrected_as_in_the_thesis_and_a_second_render_agrees() {
     let fitted = fit(&[shot(1.0, 1.0, 2e4)]).unwrap();
     assert!(fitted.findings.offset_m.is_none() && fitted.findings.jitter_assumed);
-    assert!(fitted.findings.second_render_ratio.iter().all(|r| (r - 1.0).abs() < 2e-4), "{:?}", fitted.findings);
+    assert!(
+        fitted.findings.second_render_ratio.iter().all(|r| (r - 1.0).abs() < 2e-4),
+        "{:?}",
+        fitted.findings
+    );
     assert!((fitted.radiance[1] / 4e5 - 1.0).abs() < 2e-3, "{:?}", fitted.radiance);
 }
 

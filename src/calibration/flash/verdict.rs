@@ -19,9 +19,9 @@ impl FlashCalibration {
     /// What to make of it. `paper`: the card's reflectance was not given but taken for that of office paper.
     pub fn verdict(&self, paper: bool) -> Verdict {
         let found = &self.findings;
-        let error = self.radiance_error.map_or(f64::INFINITY, |error| {
-            (0..3).map(|c| error[c] / self.radiance[c]).fold(0.0, f64::max)
-        });
+        let error = self
+            .radiance_error
+            .map_or(f64::INFINITY, |error| (0..3).map(|c| error[c] / self.radiance[c]).fold(0.0, f64::max));
         let used = self.cards.iter().filter(|c| c.used).count();
         let predicted = found.held_out_error.or(found.left_one_out_error);
         let law = found.distance_exponent;

@@ -108,10 +108,8 @@ struct NotAShot(PathBuf);
 
 pub(super) fn flash(args: &FlashArgs) -> CliResult {
     let session = open_session(&args.session)?;
-    let target = Target {
-        reflectance: args.target_reflectance.unwrap_or(PAPER),
-        curve: args.target_curve.clone(),
-    };
+    let target =
+        Target { reflectance: args.target_reflectance.unwrap_or(PAPER), curve: args.target_curve.clone() };
     let facts = CardFacts {
         target,
         paper: args.target_reflectance.is_none(),

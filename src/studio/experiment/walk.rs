@@ -2,8 +2,8 @@
 //! them, and the truth beside it.
 
 use super::{ExperimentError, Options};
-use crate::codec::tiff16;
 use crate::calibration::{Plane, Target};
+use crate::codec::tiff16;
 use crate::pipeline::flash::{self, CardFacts, CardFiles};
 use crate::pipeline::process::{ProcessOptions, ProcessSummary, process};
 use crate::pipeline::scene::{self, Lengths};
