@@ -17,7 +17,7 @@
 //! and an annulus is the outer disc less the inner. The form holds while the whole annulus is above the
 //! element's horizon; where the horizon cuts it, the sum over 256 equal-area points takes its place.
 //! The ring may lie a little before or behind the lens, and its radiance may fall with `cos^n` of the emission angle
-//! (a lobe beside Lambert's own cosine): the closed form is then multiplied by the mean of that factor over sixteen
+//! (a lobe beside Lambert's own cosine): the closed form is then multiplied by the mean of that factor over 32
 //! equal-area points, each weighed by its share of the light.
 //! Shadow rays go to points on the rims first, to equal-area points where those disagree.
 
@@ -46,7 +46,7 @@ const FINE: usize = 256;
 const LEAST_COSINE: f64 = 1e-3;
 
 /// Points over which the lobe's mean is taken.
-const COARSE: usize = 16;
+const COARSE: usize = 32;
 
 /// Points of the lamp that one of several looks at much the same place takes, so that all looks together take an even
 /// spread of them.

@@ -20,6 +20,10 @@ use super::linear::Symmetric;
 /// Most evaluations of the model.
 const MOST_ROUNDS: usize = 60;
 
+/// By how much a step may raise the objective (twice a logarithm of likelihood): its weights go with the model, so that
+/// it is lowest a little beside the place where the equations hold.
+const SLACK: f64 = 0.02;
+
 /// Steps below this part of the standard errors end the search.
 const CLOSE: f64 = 1e-3;
 
@@ -211,7 +215,7 @@ pub(super) fn solve(model: &impl Model, start: Vec<f64>, usual: f64) -> Option<S
         let close = (0..unknowns).all(|i| step[i].abs() <= CLOSE * covariance.at(i, i).sqrt());
         let tried = model.sums(&next).filter(|tried| {
             let after = objective(tried, &next, precision, variance, phi);
-            after.is_finite() && (after <= before * (1.0 + 1e-9) || close)
+            after.is_finite() && (after <= before + SLACK || close)
         });
         match tried {
             Some(tried) => {

@@ -343,9 +343,12 @@ struct Fits<'a> {
 }
 
 impl<'a> Fits<'a> {
-    fn with(&self, figures: Vec<Figure>) -> Option<(Cards<'a>, Solution)> {
+    /// Begins where `near` is, an earlier fit whose figures come first among these.
+    fn with(&self, figures: Vec<Figure>, near: &[f64]) -> Option<(Cards<'a>, Solution)> {
         let model = Cards::new(self.cards, self.ring, self.guess, self.vignetting, figures);
-        let solution = solve(&model, model.start(), USUAL_JITTER)?;
+        let mut start = model.start();
+        start.iter_mut().zip(near).for_each(|(to, from)| *to = *from);
+        let solution = solve(&model, start, USUAL_JITTER)?;
         Some((model, solution))
     }
 
@@ -353,12 +356,12 @@ impl<'a> Fits<'a> {
     fn main(&self) -> Option<(Cards<'a>, Solution)> {
         let mut figures = vec![Figure::Offset];
         figures.extend(self.vignetting.map(|_| Figure::Lobe));
-        let (model, solution) = match self.with(figures.clone()) {
+        let (model, solution) = match self.with(figures.clone(), &[]) {
             Some(fit) => fit,
-            None => return self.with(vec![]),
+            None => return self.with(vec![], &[]),
         };
         let told: Vec<Figure> = figures.iter().copied().filter(|f| tells(&model, &solution, *f)).collect();
-        if told.len() == figures.len() { Some((model, solution)) } else { self.with(told) }
+        if told.len() == figures.len() { Some((model, solution)) } else { self.with(told, &[]) }
     }
 
     fn findings(
@@ -370,7 +373,7 @@ impl<'a> Fits<'a> {
     ) -> FlashFindings {
         let settled: Vec<Figure> =
             [Figure::Offset, Figure::Lobe].into_iter().filter(|f| model.place(*f).is_some()).collect();
-        let more = |figures: &[Figure]| self.with([settled.as_slice(), figures].concat());
+        let more = |figures: &[Figure]| self.with([settled.as_slice(), figures].concat(), &solution.theta);
         let exponent = more(&[Figure::Exponent])
             .filter(|(model, fit)| tells(model, fit, Figure::Exponent))
             .and_then(|(model, fit)| interval(&model, &fit, Figure::Exponent, 2.0));
