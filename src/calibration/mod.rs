@@ -6,7 +6,12 @@ mod flash;
 pub mod flat;
 mod linear;
 mod record;
+mod steadiness;
 pub mod tiles;
 
-pub use flash::{CardResidual, CardShot, FieldFactor, FlashCalibration, FlashFitError, fit_flash};
+pub use flash::{
+    CardResidual, CardShot, Cell, FieldFactor, FlashCalibration, FlashFacts, FlashFindings, FlashFitError,
+    Interval, Plane, Target, fit_flash,
+};
 pub use record::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
+pub use steadiness::{Steadiness, SteadyError, SteadyShot, steadiness};

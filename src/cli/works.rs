@@ -1,5 +1,6 @@
 //! The processing that `unlit serve` sets off, as the desk wants it.
 
+use crate::calibration::{Plane, Target};
 use crate::capture::{CalibrationShot, FlashCard, SceneFiles, Works};
 use crate::jobs::WorkError;
 use crate::pipeline::flash::{self, CardFacts, CardFiles, FlashError};
@@ -53,15 +54,22 @@ fn calibrate_flash(session: &Session, card: FlashCard, progress: &Progress) -> R
     let files = |shot: CalibrationShot| {
         let place = folder.join(&shot.name);
         let off = Some(place.join(&shot.off.file));
-        CardFiles { distance: shot.distance_m, on: place.join(&shot.on.file), off }
+        CardFiles {
+            plane: Plane::facing(shot.distance_m),
+            on: place.join(&shot.on.file),
+            off,
+            held_out: false,
+        }
     };
     let shots: Vec<CardFiles> = card.shots.into_iter().map(files).collect();
     let facts = CardFacts {
-        target_reflectance: card.target_reflectance,
+        target: Target::lambertian(card.target_reflectance),
+        paper: false,
+        vignetting: None,
         ring_radii: card.ring_radii,
         focal_px: None,
     };
-    let fit = flash::calibrate(session, &shots, facts, progress).map_err(|error| match error {
+    let fit = flash::calibrate(session, &shots, &facts, progress).map_err(|error| match error {
         FlashError::Cancelled(_) => WorkError::Cancelled,
         other => WorkError::failed("calibration_failed", other),
     })?;

@@ -73,7 +73,8 @@ pub enum EmitterError {
 
 impl From<Ring> for Emitter {
     fn from(ring: Ring) -> Self {
-        Self { shape: Shape::Ring(ring), camera_from_lamp: DAffine3::IDENTITY, exponent: 0.0 }
+        let camera_from_lamp = DAffine3::from_translation(ring.offset * DVec3::Z);
+        Self { shape: Shape::Ring(ring.placed(0.0, 0.0)), camera_from_lamp, exponent: ring.lobe }
     }
 }
 
@@ -83,7 +84,15 @@ impl Emitter {
     pub fn new(shape: Shape, camera_from_lamp: DAffine3, exponent: f64) -> Result<Self, EmitterError> {
         match &shape {
             Shape::Point => {}
-            Shape::Ring(ring) => drop(Ring::new(ring.inner, ring.outer)?),
+            Shape::Ring(ring) => {
+                // Its own offset and lobe go into the pose and the exponent.
+                let shift = DAffine3::from_translation(ring.offset * DVec3::Z);
+                if ring.offset != 0.0 || ring.lobe != 0.0 {
+                    let shape = Shape::Ring(Ring::new(ring.inner, ring.outer)?);
+                    return Self::new(shape, camera_from_lamp * shift, exponent + ring.lobe);
+                }
+                Ring::new(ring.inner, ring.outer)?;
+            }
             Shape::Disc { radius } if *radius > 0.0 && *radius < 10.0 => {}
             Shape::Disc { radius } => return Err(EmitterError::Disc(*radius)),
             Shape::Mesh { triangles } => {
@@ -217,8 +226,10 @@ impl Emitter {
                 let facing = square > 0.0 && here > 0.0 && there > 0.0;
                 if facing { here / square * there.powf(self.exponent) } else { 0.0 }
             }
-            _ if self.exponent > 0.0 => self.summed(point, normal),
-            Shape::Disc { radius } => Ring { inner: 0.0, outer: *radius }.irradiance(point, normal),
+            _ if self.exponent != 0.0 => self.summed(point, normal),
+            Shape::Disc { radius } => {
+                Ring { inner: 0.0, outer: *radius, offset: 0.0, lobe: 0.0 }.irradiance(point, normal)
+            }
             Shape::Ring(ring) => ring.irradiance(point, normal),
             Shape::Mesh { triangles } => triangles.iter().map(|t| polygon(t, point, normal)).sum(),
         }

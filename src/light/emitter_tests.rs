@@ -141,7 +141,10 @@ fn what_makes_no_lamp_is_refused() {
     assert!(Emitter::new(Shape::Mesh { triangles: vec![[DVec3::X; 3]] }, even, 0.0).is_err());
     assert!(Emitter::new(Shape::Point, even, f64::NAN).is_err());
     assert!(Emitter::new(Shape::Point, DAffine3::from_scale(DVec3::splat(2.0)), 0.0).is_err());
-    assert!(Emitter::new(Shape::Ring(Ring { inner: 2.0, outer: 1.0 }), even, 0.0).is_err());
+    assert!(
+        Emitter::new(Shape::Ring(Ring { inner: 2.0, outer: 1.0, offset: 0.0, lobe: 0.0 }), even, 0.0)
+            .is_err()
+    );
 }
 
 #[test]

@@ -16,6 +16,9 @@
 //!
 //! and an annulus is the outer disc less the inner. The form holds while the whole annulus is above the
 //! element's horizon; where the horizon cuts it, the sum over 256 equal-area points takes its place.
+//! The ring may lie a little before or behind the lens, and its radiance may fall with `cos^n` of the emission angle
+//! (a lobe beside Lambert's own cosine): the closed form is then multiplied by the mean of that factor over 32
+//! equal-area points, each weighed by its share of the light.
 //! Shadow rays go to points on the rims first, to equal-area points where those disagree.
 
 use super::Occluders;
@@ -39,6 +42,12 @@ const GLIMPSE: u32 = 4;
 /// Points of the sum that takes over where the horizon cuts the ring.
 const FINE: usize = 256;
 
+/// Cosine of the emission angle below which a lobe changes no more.
+const LEAST_COSINE: f64 = 1e-3;
+
+/// Points over which the lobe's mean is taken.
+const COARSE: usize = 32;
+
 /// Points of the lamp that one of several looks at much the same place takes, so that all looks together take an even
 /// spread of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,14 +68,19 @@ impl Draw {
     }
 }
 
-/// Inner and outer radius in metres of an annulus round the lens, in the plane z = 0 of the camera frame,
-/// shining one-sidedly towards +z.
+/// An annulus round the lens's axis, in a plane z = const of the camera frame, shining one-sidedly towards +z.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ring {
     /// Inner radius, metres.
     pub inner: f64,
     /// Outer radius, metres.
     pub outer: f64,
+    /// Where its plane lies along the axis, metres from the lens's centre of projection, towards the scene positive.
+    #[serde(default)]
+    pub offset: f64,
+    /// Exponent n of its lobe: radiance falls with cos^n of the emission angle; 0 shines alike in all directions.
+    #[serde(default)]
+    pub lobe: f64,
 }
 
 /// The radii do not make a ring.
@@ -81,15 +95,50 @@ impl Ring {
     /// A ring of these radii in metres.
     pub fn new(inner: f64, outer: f64) -> Result<Self, RingError> {
         if inner >= 0.0 && inner < outer && outer < 10.0 {
-            Ok(Self { inner, outer })
+            Ok(Self { inner, outer, offset: 0.0, lobe: 0.0 })
         } else {
             Err(RingError { inner, outer })
         }
     }
 
-    /// Irradiance per unit radiance (steradian-projected, unit-free) on an element at `point` with unit
-    /// `normal`, both in the camera frame, with nothing in the way.
+    /// The same ring, its plane `offset` metres along the axis and with a lobe of exponent `lobe`.
+    pub fn placed(self, offset: f64, lobe: f64) -> Self {
+        Self { offset, lobe, ..self }
+    }
+
+    /// Radius in metres of the disc in the plane of the lens through which the ring's light passes on its way to
+    /// points within 63 degrees of the axis: its own, and twice what its plane is off that of the lens.
+    pub fn reach(&self) -> f64 {
+        self.outer + 2.0 * self.offset.abs()
+    }
+
+    /// Irradiance per unit radiance along the axis (steradian-projected, unit-free) on an element at `point` with
+    /// unit `normal`, both in the camera frame, with nothing in the way.
     pub fn irradiance(&self, point: DVec3, normal: DVec3) -> f64 {
+        let place = DVec3::new(point.x, point.y, point.z - self.offset);
+        let even = self.even_irradiance(place, normal);
+        if self.lobe == 0.0 || even <= 0.0 {
+            return even;
+        }
+        let (mut all, mut lobed) = (0.0, 0.0);
+        for lamp in PLACES.coarse.iter().map(|place| self.at(place, DVec2::X)) {
+            let share = form(lamp, point, normal);
+            all += share;
+            lobed += share * self.lobe_towards(lamp, point);
+        }
+        // Where the horizon leaves none of the points, the sliver's highest stands for all.
+        let highest = (self.outer * normal.truncate().normalize_or_zero()).extend(self.offset);
+        even * if all > 0.0 { lobed / all } else { self.lobe_towards(highest, point) }
+    }
+
+    /// cos^n of the angle under which a point of the ring shines at a place.
+    fn lobe_towards(&self, lamp: DVec3, point: DVec3) -> f64 {
+        let way = point - lamp;
+        (way.z / way.length()).max(LEAST_COSINE).powf(self.lobe)
+    }
+
+    /// Irradiance without lobe; `point` from the ring's centre.
+    fn even_irradiance(&self, point: DVec3, normal: DVec3) -> f64 {
         if point.z <= 0.0 {
             return 0.0;
         }
@@ -103,7 +152,8 @@ impl Ring {
         } else {
             // The horizon cuts the ring.
             let area = PI * (self.outer * self.outer - self.inner * self.inner);
-            let lamps = PLACES.fine.iter().map(|place| self.at(place, DVec2::X));
+            let centred = Self { offset: 0.0, ..*self };
+            let lamps = PLACES.fine.iter().map(|place| centred.at(place, DVec2::X));
             lamps.map(|lamp| form(lamp, point, normal)).sum::<f64>() * area / FINE as f64
         }
     }
@@ -128,7 +178,7 @@ impl Ring {
         if rims.peek().is_some() && rims.all(|lamp| element.sees(lamp)) {
             return clear;
         }
-        clear * element.lit(places.spread.iter().map(|place| self.at(place, turn)), self.outer)
+        clear * element.lit(places.spread.iter().map(|place| self.at(place, turn)), self)
     }
 
     /// The same by the share of four points of the ring alone that see the element, for whoever takes the mean over
@@ -153,13 +203,13 @@ impl Ring {
             let place = PLACES.even[i as usize % FINE];
             self.at(&Place { share: (slide + place.share).fract(), ..place }, turn)
         });
-        Element::new(occluders, point, normal).lit(points, self.outer)
+        Element::new(occluders, point, normal).lit(points, self)
     }
 
     /// A place on the ring, turned round its axis: camera frame, metres.
     fn at(&self, place: &Place, turn: DVec2) -> DVec3 {
         let square = self.inner * self.inner * (1.0 - place.share) + self.outer * self.outer * place.share;
-        (square.sqrt() * turn.rotate(place.direction)).extend(0.0)
+        (square.sqrt() * turn.rotate(place.direction)).extend(self.offset)
     }
 }
 
@@ -188,6 +238,7 @@ impl Place {
 /// All places that sums and shadow rays take, for their sines are dear.
 struct Places {
     fine: Vec<Place>,
+    coarse: Vec<Place>,
     rims: Vec<Place>,
     spread: Vec<Place>,
     even: Vec<Place>,
@@ -205,6 +256,7 @@ static PLACES: LazyLock<Places> = LazyLock::new(|| {
     let even = (0..FINE as u32).map(|i| Place::new(behind_point(i, 3), behind_point(i, 2)));
     Places {
         fine: (0..FINE).map(|i| Place::spread(i, FINE)).collect(),
+        coarse: (0..COARSE).map(|i| Place::spread(i, COARSE)).collect(),
         rims: outer.chain(inner).collect(),
         spread: spread.collect(),
         even: even.collect(),
@@ -246,11 +298,13 @@ impl<'a> Element<'a> {
 
     /// Share of these points' light that reaches it. Where the horizon hides all of them, the highest point of the
     /// outer rim stands for the sliver that is left.
-    fn lit(&self, points: impl Iterator<Item = DVec3>, outer: f64) -> f64 {
+    fn lit(&self, points: impl Iterator<Item = DVec3>, ring: &Ring) -> f64 {
         let (mut all, mut lit) = (0.0, 0.0);
         for lamp in points {
-            let share = self.share(lamp);
-            if share > 0.0 {
+            let even = self.share(lamp);
+            if even > 0.0 {
+                let lobe = if ring.lobe == 0.0 { 1.0 } else { ring.lobe_towards(lamp, self.point) };
+                let share = even * lobe;
                 all += share;
                 lit += if self.sees(lamp) { share } else { 0.0 };
             }
@@ -258,8 +312,8 @@ impl<'a> Element<'a> {
         if all > 0.0 {
             return lit / all;
         }
-        let highest = outer * self.normal.truncate().normalize_or_zero();
-        f64::from(u8::from(self.sees(highest.extend(0.0))))
+        let highest = ring.outer * self.normal.truncate().normalize_or_zero();
+        f64::from(u8::from(self.sees(highest.extend(ring.offset))))
     }
 }
 
@@ -276,7 +330,7 @@ pub(super) fn scrambled(p: Vec3) -> f32 {
 fn form(lamp: DVec3, point: DVec3, normal: DVec3) -> f64 {
     let way = lamp - point;
     let d2 = way.length_squared();
-    (normal.dot(way) * point.z).max(0.0) / (d2 * d2)
+    (normal.dot(way).max(0.0) * (-way.z).max(0.0)) / (d2 * d2)
 }
 
 /// Vector irradiance of a unit-radiance disc of radius `a` at a point of the camera frame, pointing to the lamp.

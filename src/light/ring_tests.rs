@@ -12,7 +12,8 @@ fn occluders(kernel: &RayKernel) -> Occluders<'_> {
 fn summed(ring: &Ring, point: DVec3, normal: DVec3) -> f64 {
     let n = 400_000;
     let area = PI * (ring.outer.powi(2) - ring.inner.powi(2));
-    (0..n).map(|i| form(ring.at(&Place::spread(i, n), DVec2::X), point, normal)).sum::<f64>() * area
+    let lamps = (0..n).map(|i| ring.at(&Place::spread(i, n), DVec2::X));
+    lamps.map(|lamp| form(lamp, point, normal) * ring.lobe_towards(lamp, point)).sum::<f64>() * area
         / n as f64
 }
 
@@ -80,7 +81,7 @@ fn the_sliver_above_the_horizon_is_shadowed_like_the_rest() {
         let occluders = occluders(&kernel);
         let element = Element::new(&occluders, point, normal);
         let hidden = std::iter::once(DVec3::new(-0.05, 0.0, 0.0));
-        assert_eq!(element.lit(hidden, ring.outer), lit);
+        assert_eq!(element.lit(hidden, &ring), lit);
     }
 }
 
@@ -108,4 +109,30 @@ fn radii_out_of_order_are_refused() {
     assert!(Ring::new(0.085, 0.035).is_err());
     assert!(Ring::new(-0.1, 0.035).is_err());
     assert!(Ring::new(f64::NAN, 0.035).is_err());
+}
+
+#[test]
+fn a_ring_off_the_lens_with_a_lobe_is_the_sum_over_its_points() {
+    let even = Ring::new(0.035, 0.085).unwrap();
+    let (point, normal) = (DVec3::new(0.3, -0.2, 0.6), DVec3::new(-0.4, 0.1, -0.7).normalize());
+    let nearer = even.irradiance(point - 0.02 * DVec3::Z, normal);
+    assert!((even.placed(0.02, 0.0).irradiance(point, normal) / nearer - 1.0).abs() < 1e-12);
+    for (offset, lobe, within) in [(0.02, 0.0, 2e-5), (-0.03, 1.5, 5e-4), (0.01, 0.2, 5e-4)] {
+        let ring = even.placed(offset, lobe);
+        let (got, brute) = (ring.irradiance(point, normal), summed(&ring, point, normal));
+        assert!((got / brute - 1.0).abs() < within, "{got} {brute} at {offset}, {lobe}");
+    }
+}
+
+#[test]
+fn shadows_of_a_ring_off_the_lens_fall_from_where_it_is() {
+    let ring = Ring::new(0.035, 0.085).unwrap().placed(0.05, 0.5);
+    let point = DVec3::new(0.0, 0.0, 0.8);
+    // A plate between the lens and the ring hides nothing of it; one before the ring hides it all.
+    for (z, lit) in [(0.03, 1.0), (0.07, 0.0)] {
+        let quad = [[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]].map(|[x, y]| Vec3::new(x, y, z));
+        let kernel = RayKernel::build(vec![[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]);
+        let got = ring.shadowed_irradiance(&occluders(&kernel), point, -DVec3::Z);
+        assert!((got / ring.irradiance(point, -DVec3::Z) - lit).abs() < 1e-9, "{got} at {z}");
+    }
 }

@@ -14,4 +14,4 @@ pub use gain::FlashGain;
 pub(crate) use isolate::linear;
 pub use isolate::{IsolateError, KnownMosaic, RoomLight, isolate, isolate_dark, isolate_mean};
 pub use mosaic::{Cfa, LevelSource, Levels, Mosaic};
-pub use noise::{NoNoise, NoiseModel};
+pub use noise::{NoNoise, NoiseGauge, NoiseModel};

@@ -44,6 +44,31 @@ impl NoiseModel {
     }
 }
 
+/// Most tiles of one frame that a gauge takes.
+const MOST_TILES: usize = 8192;
+
+/// The same measurement from frames that come one by one, of which only figures are kept.
+#[derive(Clone, Debug, Default)]
+pub struct NoiseGauge {
+    points: Vec<(f64, f64)>,
+}
+
+impl NoiseGauge {
+    /// Takes in a frame of something plain; of large frames tiles that are spread over it.
+    pub fn add(&mut self, frame: &Mosaic) {
+        let (columns, rows) = (frame.dn.width() / TILE, frame.dn.height() / TILE);
+        let every = (columns * rows).div_ceil(MOST_TILES).max(1);
+        for place in (0..columns * rows).step_by(every) {
+            self.points.extend(tile(frame, place % columns * TILE, place / columns * TILE));
+        }
+    }
+
+    /// The model of all frames together.
+    pub fn fit(&self) -> Result<NoiseModel, NoNoise> {
+        fit(&self.points).ok_or(NoNoise)
+    }
+}
+
 /// Mean signal and variance of each of the four filter positions of one tile.
 fn tile(frame: &Mosaic, x0: usize, y0: usize) -> Vec<(f64, f64)> {
     let mut out = vec![];
@@ -133,6 +158,10 @@ mod tests {
         let model = NoiseModel::measure(&frames).unwrap();
         assert!((model.gain - 0.3).abs() < 0.01, "{model:?}");
         assert!((model.floor - 2.4).abs() < 0.5, "{model:?}");
+        let mut gauge = NoiseGauge::default();
+        frames.iter().for_each(|frame| gauge.add(frame));
+        let gauged = gauge.fit().unwrap();
+        assert!((gauged.gain - 0.3).abs() < 0.01 && (gauged.floor - 2.4).abs() < 0.5, "{gauged:?}");
     }
 
     #[test]

@@ -1,16 +1,23 @@
-//! The flash calibration of a session: card shots in, `calibration/flash.json` out.
+//! The flash calibration of a session: card shots in, `calibration/flash.json` out (a [`Record`], with its figure
+//! `flash.svg`). Shots are read one by one and reduced to means over cells at once.
 
-use crate::calibration::{CardShot, FlashCalibration, FlashFitError, fit_flash};
+use super::calibrate::{self, Series, SeriesError};
+use crate::calibration::{
+    CardShot, FieldFactor, FlashCalibration, FlashFacts, FlashFitError, OtherRig, Plane, Record, Rig, Target,
+    fit_flash,
+};
 use crate::codec::raw::RawError;
+use crate::export::chart::{self, Chart};
 use crate::light::{Ring, RingError};
-use crate::pair::{FlashRecord, FrameRecord, Settings};
-use crate::photometry::{IsolateError, NoNoise, NoiseModel, isolate, isolate_dark};
+use crate::pair::{FlashRecord, FrameRecord, PairRecord, Settings};
+use crate::photometry::{IsolateError, NoNoise, NoiseGauge};
 use crate::pipeline::saturation::{self, SaturationError};
 use crate::pipeline::{develop::exposure_ratio, scene};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Distortion, Intrinsics};
 use crate::session::{Session, SessionError, store};
 use glam::DVec2;
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 /// Why the flash could not be calibrated, or its calibration not be read.
@@ -71,108 +78,175 @@ pub enum FlashError {
     /// The session refused.
     #[error(transparent)]
     Session(#[from] SessionError),
-    /// `flash.json` is broken.
-    #[error("{} is damaged ({reason}); run `unlit calibrate flash` again", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
+    /// The shots do not make a series, or `flash.json` is broken.
+    #[error(transparent)]
+    Series(SeriesError),
+    /// A pair of another body or lens than the calibration's.
+    #[error(
+        "pair {name} does not fit the flash calibration: {source}; calibrate the flash with the rig that took the pairs"
+    )]
+    OtherRig {
+        /// The pair.
+        name: String,
+        /// What differs.
+        source: OtherRig,
     },
     /// Stopped on request.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
 
+impl From<SeriesError> for FlashError {
+    fn from(error: SeriesError) -> Self {
+        match error {
+            SeriesError::Cancelled(cancelled) => Self::Cancelled(cancelled),
+            SeriesError::Raw(raw) => Self::Raw(raw),
+            SeriesError::Saturation(saturation) => Self::Saturation(saturation),
+            SeriesError::Session(session) => Self::Session(session),
+            other => Self::Series(other),
+        }
+    }
+}
+
 /// One shot of the card.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CardFiles {
-    /// Metres from the lens to the card.
-    pub distance: f64,
+    /// Where the card was, camera frame.
+    pub plane: Plane,
     /// The frame lit by the flash.
     pub on: PathBuf,
     /// The frame without it; absent for shots in a dark room.
     pub off: Option<PathBuf>,
+    /// Keeps it from the fit, to check the fit by it.
+    pub held_out: bool,
 }
 
 /// What is known beforehand.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct CardFacts {
-    /// The card's diffuse reflectance.
-    pub target_reflectance: f64,
+    /// What the card reflects.
+    pub target: Target,
+    /// Whether its reflectance is that of office paper, taken for granted.
+    pub paper: bool,
+    /// The lens's vignetting, where a flat field tells it.
+    pub vignetting: Option<FieldFactor>,
     /// Inner and outer radius of the ring, metres.
     pub ring_radii: [f64; 2],
     /// Focal length in pixels, where no scene tells it.
     pub focal_px: Option<f64>,
 }
 
+/// Kind of the record.
+const KIND: &str = "flash";
+
 /// Fits the flash to card shots and stores the result as `calibration/flash.json`; the shots' files are kept
 /// under `calibration/flash/`.
 pub fn calibrate(
     session: &Session,
     shots: &[CardFiles],
-    facts: CardFacts,
+    facts: &CardFacts,
     progress: &Progress,
-) -> Result<FlashCalibration, FlashError> {
+) -> Result<Record<FlashCalibration>, FlashError> {
     let ring = Ring::new(facts.ring_radii[0], facts.ring_radii[1])?;
     let measured = saturation::load(session)?;
-    let (mut frames, mut settings) = (vec![], None::<Settings>);
+    let mut series = Series::new(session, KIND)?;
+    let (mut cards, mut numbers, mut first) = (vec![], vec![], None::<Settings>);
+    let (mut gauge, mut rooms) = (NoiseGauge::default(), HashSet::new());
     for (i, shot) in shots.iter().enumerate() {
         progress.check()?;
         progress.report("reading card shots", i, shots.len());
-        let on = saturation::read(&shot.on, &measured)?;
-        let off = shot.off.as_deref().map(|off| saturation::read(off, &measured)).transpose()?;
-        same_settings(settings.get_or_insert_with(|| on.settings.clone()), &on.settings, &shot.on)?;
-        let off = match off {
+        numbers.push(series.shots().len());
+        let on = series.read(&shot.on)?;
+        same_settings(first.get_or_insert_with(|| on.settings.clone()), &on.settings, &shot.on)?;
+        let off = match &shot.off {
+            // Several shots may share the frame of the room.
+            Some(off) if !rooms.insert(off.clone()) => Some(saturation::read(off, &measured)?),
+            Some(off) => Some(series.read(off)?),
+            None => None,
+        };
+        let label = label(&shot.on);
+        let room = match &off {
             Some(off) => {
                 let ratio = exposure_ratio(&on.settings, &off.settings)
-                    .map_err(|setting| FlashError::Settings { label: label(&shot.on), setting })?;
-                Some((off.mosaic, ratio as f32))
+                    .map_err(|setting| FlashError::Settings { label: label.clone(), setting })?;
+                Some((&off.mosaic, ratio))
             }
             None => None,
         };
-        frames.push((shot, on.mosaic, off));
+        gauge.add(&on.mosaic);
+        let mut card = CardShot::reduce(label.clone(), shot.plane, &on.mosaic, room)
+            .map_err(|source| FlashError::Isolate { label, source })?;
+        card.energy_counts = energy_beside(&shot.on)?;
+        card.held_out = shot.held_out;
+        cards.push(card);
     }
-    let settings = settings.ok_or(FlashError::NoShots)?;
+    let settings = first.ok_or(FlashError::NoShots)?;
+    let size = cards.first().map(|c| c.size).ok_or(FlashError::NoShots)?;
     progress.report("fitting the flash", 0, 1);
-    let lit: Vec<_> = frames.iter().map(|(_, on, _)| on.clone()).collect();
-    let noise = NoiseModel::measure(&lit)?;
-    let intrinsics = lens(session, (lit[0].dn.width(), lit[0].dn.height()), facts.focal_px)?;
-    let mut cards = vec![];
-    for (shot, on, off) in &frames {
-        let label = label(&shot.on);
-        let known = match off {
-            Some((off, ratio)) => isolate(on, off, *ratio, &noise)
-                .map_err(|source| FlashError::Isolate { label: label.clone(), source })?,
-            None => isolate_dark(on, &noise),
-        };
-        let energy_counts = energy_beside(&shot.on)?;
-        cards.push(CardShot { label, distance: shot.distance, known, energy_counts });
-    }
-    let mut fit = fit_flash(&cards, &intrinsics, ring, facts.target_reflectance, noise)?;
+    let noise = gauge.fit()?;
+    let intrinsics = lens(session, size, facts.focal_px)?;
+    let known = FlashFacts {
+        intrinsics: &intrinsics,
+        ring,
+        target: &facts.target,
+        noise,
+        vignetting: facts.vignetting,
+    };
+    let mut fit = fit_flash(&cards, &known)?;
     fit.iso = settings.iso.map(|s| s.0);
     fit.aperture = settings.aperture.map(|n| n.0);
     progress.check()?;
-    keep(session, shots)?;
-    let path = file(session);
-    let bytes = serde_json::to_vec_pretty(&fit)
-        .map_err(|e| FlashError::Damaged { path: path.clone(), reason: e.to_string() })?;
-    session.keep(&path, &bytes)?;
+    for (card, number) in fit.cards.iter().zip(numbers) {
+        if let Some(why) = &card.left_out {
+            series.leave_out(number, why.clone());
+        }
+    }
+    let (verdict, figure) = (fit.verdict(facts.paper), picture(&fit));
+    let record = series.keep(fit, verdict, &figure, progress)?;
     progress.report("fitting the flash", 1, 1);
-    Ok(fit)
+    Ok(record)
+}
+
+/// Each shot's light over what the fit says of its distance.
+fn picture(fit: &FlashCalibration) -> Chart {
+    let points = |held_out: bool| {
+        let shown = fit.cards.iter().filter(move |c| c.gain > 0.0 && c.held_out == held_out);
+        shown
+            .map(|c| {
+                let gain = c.gain / c.measured_gain.unwrap_or(1.0);
+                (c.distance, 100.0 * (gain - 1.0), 100.0 * fit.findings.jitter_deviation)
+            })
+            .collect::<Vec<_>>()
+    };
+    let named = |name: &str, held_out: bool| {
+        let points = points(held_out);
+        (!points.is_empty()).then(|| chart::Series { name: name.to_owned(), points })
+    };
+    Chart {
+        caption: "Light of the card shots against the fitted flash, over the card's distance".into(),
+        across: "Distance, m".into(),
+        up: "Measured over fitted - 1, %".into(),
+        series: [named("used for the fit", false), named("kept from the fit", true)]
+            .into_iter()
+            .flatten()
+            .collect(),
+    }
+}
+
+/// Reads the session's flash calibration with its origin.
+pub fn record(session: &Session) -> Result<Record<FlashCalibration>, FlashError> {
+    calibrate::load(session, KIND)?.ok_or_else(|| FlashError::None(session.path().to_owned()))
 }
 
 /// Reads the session's flash calibration.
 pub fn load(session: &Session) -> Result<FlashCalibration, FlashError> {
-    let path = file(session);
-    let bytes = match std::fs::read(&path) {
-        Ok(bytes) => bytes,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-            return Err(FlashError::None(session.path().to_owned()));
-        }
-        Err(source) => return Err(FlashError::Io { path, source }),
-    };
-    serde_json::from_slice(&bytes).map_err(|e| FlashError::Damaged { path, reason: e.to_string() })
+    Ok(record(session)?.fit)
+}
+
+/// Refuses a pair of another body or lens than the calibration's.
+pub(super) fn holds_for(rig: &Rig, pair: &PairRecord) -> Result<(), FlashError> {
+    rig.same_lens(&pair.on.settings, "the flash calibration")
+        .map_err(|source| FlashError::OtherRig { name: pair.name.clone(), source })
 }
 
 /// Whether the session has a flash calibration.
@@ -189,7 +263,7 @@ fn io(path: &Path) -> impl FnOnce(std::io::Error) -> FlashError + '_ {
 }
 
 /// File name, with its folder's where that alone would not tell shots apart (`d00700_1/on.cr2`).
-fn label(path: &Path) -> String {
+pub(super) fn label(path: &Path) -> String {
     let name = |p: &Path| p.file_name().map(|n| n.to_string_lossy().into_owned());
     let own = name(path).unwrap_or_else(|| path.display().to_string());
     match path.parent().and_then(name) {
@@ -210,7 +284,7 @@ struct ShotRecord {
 pub const SHOT_RECORD: &str = "shot.json";
 
 /// Energy of a card shot's pulse, if the flash controller's account of this very frame lies beside it.
-fn energy_beside(frame: &Path) -> Result<Option<f64>, FlashError> {
+pub(super) fn energy_beside(frame: &Path) -> Result<Option<f64>, FlashError> {
     let path = frame.with_file_name(SHOT_RECORD);
     let bytes = match std::fs::read(&path) {
         Ok(bytes) => bytes,
@@ -258,21 +332,4 @@ fn lens(session: &Session, size: (usize, usize), focal_px: Option<f64>) -> Resul
     let scene = scene::load_file(session).map_err(|_| FlashError::NoLens)?;
     let fits = |i: &Intrinsics| (i.width, i.height) == size;
     scene.cameras.iter().map(|c| c.intrinsics).find(fits).ok_or(FlashError::NoLens)
-}
-
-/// Copies the shots into the session, unless they are there.
-fn keep(session: &Session, shots: &[CardFiles]) -> Result<(), FlashError> {
-    let folder = session.calibration_dir().join("flash");
-    let inside = |path: &Path| match (path.canonicalize(), session.path().canonicalize()) {
-        (Ok(path), Ok(root)) => path.starts_with(root),
-        _ => false,
-    };
-    for path in shots.iter().flat_map(|s| std::iter::once(&s.on).chain(&s.off)).filter(|p| !inside(p)) {
-        std::fs::create_dir_all(&folder).map_err(io(&folder))?;
-        let bytes = std::fs::read(path).map_err(io(path))?;
-        let name = path.file_name().map_or_else(Default::default, |n| n.to_string_lossy());
-        let copy = folder.join(format!("{}_{name}", &store::digest(&bytes)[..8]));
-        store::write_atomic(&copy, &bytes).map_err(io(&copy))?;
-    }
-    Ok(())
 }

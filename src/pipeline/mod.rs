@@ -17,6 +17,7 @@ mod report;
 pub mod saturation;
 pub mod scene;
 mod solve;
+pub mod steadiness;
 pub mod stops;
 pub mod uvs;
 pub mod views;

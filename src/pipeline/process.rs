@@ -9,7 +9,7 @@ use super::manifest::{StageManifest, digest};
 use super::memory::Needs;
 use super::scene::{self, SceneError};
 use super::{output, solve, uvs};
-use crate::calibration::FlashCalibration;
+use crate::calibration::{FlashCalibration, Record};
 use crate::codec::asset::AssetError;
 use crate::codec::png::PngError;
 use crate::export::glb::GlbError;
@@ -288,7 +288,7 @@ fn outputs(uvs: &UvSource) -> Vec<String> {
 
 impl Inputs {
     pub(super) fn read(session: &Session) -> Result<Self, ProcessError> {
-        let calibration = flash::load(session)?;
+        let Record { fit: calibration, rig, .. } = flash::record(session)?;
         let scale = SessionScale::load(session).map_err(DevelopError::from)?;
         let flash = energy::account(session)?;
         let scene = scene::load(session)?;
@@ -307,6 +307,7 @@ impl Inputs {
         if matched.is_empty() {
             return Err(ProcessError::NoPairs(no_pairs(&left_out, &scene)));
         }
+        matched.iter().try_for_each(|(pair, _)| flash::holds_for(&rig, pair))?;
         let mut parts: Vec<Vec<u8>> = vec![];
         for path in [flash::file(session), session.scene_dir().join("scene.json")] {
             parts.push(std::fs::read(&path).map_err(io(&path))?);

@@ -167,7 +167,7 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
     let [a1, a2, a3] = fit.field.coefficients;
     let radiance = match fit.radiance_error {
         Some(error) => format!("{} DN, standard error {} DN", three(fit.radiance, 0), three(error, 0)),
-        None => format!("{} DN, from a single shot", three(fit.radiance, 0)),
+        None => format!("{} DN, not from a fit", three(fit.radiance, 0)),
     };
     facts.extend([
         fact("Ring, radii", format!("{} to {} m", fit.ring.inner, fit.ring.outer)),
@@ -183,7 +183,7 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
         fact("Card", format!("reflectance taken to be {}", fit.target_reflectance)),
         fact("Residual of the fit", percent(fit.rms)),
     ]);
-    let rows = fit.shots.iter().map(|shot| {
+    let rows = fit.cards.iter().map(|shot| {
         let used = |text: String| if shot.used { text } else { "left out".into() };
         let measured = shot.measured_gain.map_or_else(|| "not measured".into(), |g| format!("{g:.4}"));
         vec![
@@ -299,7 +299,7 @@ mod tests {
             iso: None,
             aperture: None,
             energy_counts: None,
-            shots: vec![CardResidual {
+            cards: vec![CardResidual {
                 label: "card-far.dng".into(),
                 distance: 1.4,
                 gain: 1.0,
@@ -307,8 +307,12 @@ mod tests {
                 rms: 0.0021,
                 clipped: 0.0,
                 used: true,
+                left_out: None,
+                prediction_error: None,
+                held_out: false,
             }],
             rms: 0.0037,
+            findings: Default::default(),
         };
         let summary = ProcessSummary {
             used: vec!["0001".into()],

@@ -88,7 +88,7 @@ pub struct Illumination<'a> {
 impl<'a> Illumination<'a> {
     /// Looks round once; `offset` (metres) keeps rays off the surface they start from.
     pub fn new(camera: &'a Camera, lamp: &'a Lamp, elements: &'a Elements, offset: f64) -> Self {
-        let sight = Sight::look(elements.kernel(), elements.normals(), camera, lamp.ring.outer);
+        let sight = Sight::look(elements.kernel(), elements.normals(), camera, lamp.ring.reach());
         let camera_from_world = camera.world_from_camera.inverse();
         Self { camera, lamp, elements, sight, camera_from_world, offset }
     }

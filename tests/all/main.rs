@@ -10,6 +10,7 @@ mod birdbath;
 mod calibrate_exposure;
 mod calibrate_flat;
 mod calibrate_colour;
+mod calibrate_flash;
 mod camera;
 mod camera_faults;
 mod camera_usb;

@@ -104,8 +104,9 @@ impl House {
             iso: None,
             aperture: None,
             energy_counts: None,
-            shots: vec![],
+            cards: vec![],
             rms: 0.0,
+            findings: Default::default(),
         };
         known_sites(&self.session, pair, &calibration).unwrap()
     }

@@ -2,6 +2,7 @@
 
 mod colour;
 mod exposure;
+mod flash;
 mod flat;
 
 use crate::capture::{Engine, Events, words_on_repeatability};
@@ -11,13 +12,19 @@ use crate::cli::shoot::tell_of_recovery;
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pair::Limits;
 use crate::pipeline;
-use crate::pipeline::flash::{CardFacts, CardFiles, calibrate};
+use crate::pipeline::steadiness::SteadyFile;
+use flash::FlashArgs;
 use std::path::PathBuf;
 
 /// What to calibrate.
 #[derive(clap::Subcommand)]
 pub(super) enum Calibrate {
     /// The flash, from shots of a white card that fills the frame and faces the camera.
+    ///
+    /// Put a flat, matt white card before the camera so that it fills the frame, in a dark room (or with an unlit frame
+    /// beside every lit one). Shoot it at three distances or more, from the nearest at which nothing clips to the
+    /// farthest at which you photograph, three times each, at one aperture and ISO and one power of the flash. The shutter
+    /// may differ: a flash is an energy, not a power.
     Flash(FlashArgs),
     /// What the steps of ISO, shutter and aperture truly do, from ladders of shots in steady light.
     Exposure(exposure::ExposureArgs),
@@ -27,18 +34,25 @@ pub(super) enum Calibrate {
     Colour(colour::ColourArgs),
     /// Where the sensor clips, from deliberately blown frames: one at every ISO in use.
     Saturation(SaturationArgs),
-    /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller.
+    /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller; or from lit frames alone.
     Repeatability(RepeatabilityArgs),
 }
 
 /// Arguments of `unlit calibrate repeatability`.
 #[derive(clap::Args)]
 pub(super) struct RepeatabilityArgs {
-    /// Session folder. Only figures are kept in it, no frames.
+    /// Session folder. Of shots taken with the controller only figures are kept in it, no frames.
     session: PathBuf,
     /// How many shots to take, each a frame without flash and one with; 8 or more.
     #[arg(long, value_name = "N", default_value_t = 40)]
     shots: usize,
+    /// Lit frames of an earlier series, in their order, instead of shooting: a card in a dark room, nothing changed from
+    /// one to the next; after = the energy of the pulse, if it was measured. They are copied into the session.
+    #[arg(long, value_name = "FILE[=ENERGY]", num_args = 1.., value_parser = flash::steady_file)]
+    frames: Vec<SteadyFile>,
+    /// Prints the record as JSON; with --frames.
+    #[arg(long, requires = "frames")]
+    json: bool,
     /// With `--studio` the white card stands 1 m before the lens.
     #[command(flatten)]
     devices: DeviceArgs,
@@ -56,56 +70,21 @@ pub(super) struct SaturationArgs {
     frames: Vec<PathBuf>,
 }
 
-/// Arguments of `unlit calibrate flash`.
-#[derive(clap::Args)]
-pub(super) struct FlashArgs {
-    /// Session folder.
-    session: PathBuf,
-    /// The card's diffuse reflectance; office paper has about 0.94 but is not quite Lambertian.
-    #[arg(long, value_name = "RHO", default_value_t = 0.94)]
-    target_reflectance: f64,
-    /// Inner and outer radius of the flash's luminous ring in metres.
-    #[arg(long, value_name = "IN,OUT", value_parser = radii)]
-    ring_radii: [f64; 2],
-    /// Shots: distance in metres from the lens to the card, and the lit frame; after a comma the unlit frame,
-    /// where the room was not dark. All at one aperture and ISO, at two distances or more.
-    #[arg(long, value_name = "DIST_M=FILE[,OFF]", num_args = 1.., required = true, value_parser = shot)]
-    shots: Vec<CardFiles>,
-    /// Focal length in pixels, where no scene is imported yet: focal length in mm * image width in pixels /
-    /// sensor width in mm.
-    #[arg(long, value_name = "PX")]
-    focal_px: Option<f64>,
-}
-
-fn radii(text: &str) -> Result<[f64; 2], String> {
-    let parts: Option<Vec<f64>> = text.split(',').map(|p| p.trim().parse().ok()).collect();
-    <[f64; 2]>::try_from(parts.unwrap_or_default())
-        .map_err(|_| "give inner and outer radius in metres, for example 0.035,0.085".into())
-}
-
-fn shot(text: &str) -> Result<CardFiles, String> {
-    let wrong = || format!("{text:?} is not DISTANCE=FILE, for example 0.8=card80.cr2");
-    let (distance, files) = text.split_once('=').ok_or_else(wrong)?;
-    let distance = distance.trim().parse().map_err(|_| wrong())?;
-    let (on, off) = match files.split_once(',') {
-        Some((on, off)) => (on, Some(PathBuf::from(off))),
-        None => (files, None),
-    };
-    Ok(CardFiles { distance, on: on.into(), off })
-}
-
 pub(super) fn run(what: &Calibrate) -> CliResult {
     match what {
-        Calibrate::Flash(args) => flash(args),
         Calibrate::Exposure(args) => exposure::run(args),
         Calibrate::Flat(args) => flat::run(args),
         Calibrate::Colour(args) => colour::run(args),
+        Calibrate::Flash(args) => flash::flash(args),
         Calibrate::Saturation(args) => saturation(args),
         Calibrate::Repeatability(args) => repeatability(args),
     }
 }
 
 fn repeatability(args: &RepeatabilityArgs) -> CliResult {
+    if !args.frames.is_empty() {
+        return flash::from_frames(&args.session, &args.frames, args.json);
+    }
     let session = open_session(&args.session)?;
     let (source, studio) = args.devices.prepare()?;
     if let Some(studio) = &studio {
@@ -145,37 +124,5 @@ fn saturation(args: &SaturationArgs) -> CliResult {
             entry.origin
         );
     }
-    Ok(Exit::Success)
-}
-
-fn flash(args: &FlashArgs) -> CliResult {
-    let session = open_session(&args.session)?;
-    let facts = CardFacts {
-        target_reflectance: args.target_reflectance,
-        ring_radii: args.ring_radii,
-        focal_px: args.focal_px,
-    };
-    let (bar, progress) = progress_bar::watched();
-    let fit = calibrate(&session, &args.shots, facts, &progress);
-    bar.finish_and_clear();
-    let fit = fit.map_err(CliError::new)?;
-    println!("{:<28}{:>10}{:>12}{:>12}{:>10}", "card shot", "distance", "flash gain", "residual", "clipped");
-    for shot in &fit.shots {
-        let (gain, rms) = match shot.used {
-            true => (format!("{:.4}", shot.gain), format!("{:.2} %", 100.0 * shot.rms)),
-            false => ("left out".into(), String::new()),
-        };
-        let clipped = 100.0 * shot.clipped;
-        println!("{:<28}{:>8} m{gain:>12}{rms:>12}{clipped:>8.1} %", shot.label, shot.distance);
-    }
-    let [r, g, b] = fit.radiance;
-    println!("radiance of the ring: {r:.0} {g:.0} {b:.0} DN (R G B)");
-    if let Some([r, g, b]) = fit.radiance_error {
-        println!("standard error:       {r:.0} {g:.0} {b:.0} DN");
-    }
-    let [a1, a2, a3] = fit.field.coefficients;
-    println!("vignetting times lobe: 1 {a1:+.4} q {a2:+.4} q^2 {a3:+.4} q^3, q = (r / half diagonal)^2");
-    println!("noise: variance = {:.4} DN * signal + {:.2} DN^2", fit.noise.gain, fit.noise.floor);
-    println!("residual over all shots: {:.2} %", 100.0 * fit.rms);
     Ok(Exit::Success)
 }

@@ -62,7 +62,7 @@ impl Exposed {
     pub(super) fn lamp(&self, energy: f64) -> Lamp {
         let ([inner, outer], radiance) = lab::ring();
         Lamp {
-            ring: crate::light::Ring { inner, outer },
+            ring: crate::light::Ring { inner, outer, offset: 0.0, lobe: 0.0 },
             radiance: radiance.map(|r| f64::from(r) * energy * self.gain()),
             field: FieldFactor { coefficients: [0.0; 3] },
         }

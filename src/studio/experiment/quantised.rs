@@ -83,7 +83,7 @@ fn white_without_bounces(
         .map(|k| {
             let (low, high) = (lamp.ring.inner.powi(2), lamp.ring.outer.powi(2));
             let radius = |part: usize| (low + (high - low) * part as f64 / rings as f64).sqrt();
-            Lamp { ring: Ring { inner: radius(k), outer: radius(k + 1) }, ..lamp }
+            Lamp { ring: Ring { inner: radius(k), outer: radius(k + 1), ..lamp.ring }, ..lamp }
         })
         .collect();
     let turned: Vec<Camera> = (0..turns)

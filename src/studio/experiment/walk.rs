@@ -2,6 +2,7 @@
 //! them, and the truth beside it.
 
 use super::{ExperimentError, Options};
+use crate::calibration::{Plane, Target};
 use crate::codec::tiff16;
 use crate::pipeline::flash::{self, CardFacts, CardFiles};
 use crate::pipeline::process::{ProcessOptions, ProcessSummary, process};
@@ -91,11 +92,17 @@ impl Walk {
             let (bytes, _) = lab::raw_file(&lab::card(&self.cameras[0].intrinsics, distance), i as u64 + 1)?;
             let on = self.folder.path().join(format!("card{i}.dng"));
             std::fs::write(&on, bytes)?;
-            shots.push(CardFiles { distance, on, off: None });
+            shots.push(CardFiles { plane: Plane::facing(distance), on, off: None, held_out: false });
         }
         let (ring_radii, _) = lab::ring();
-        let facts = CardFacts { target_reflectance: lab::CARD, ring_radii, focal_px: None };
-        flash::calibrate(&session, &shots, facts, progress)?;
+        let facts = CardFacts {
+            target: Target::lambertian(lab::CARD),
+            paper: false,
+            vignetting: None,
+            ring_radii,
+            focal_px: None,
+        };
+        flash::calibrate(&session, &shots, &facts, progress)?;
         for (camera, [off, on]) in self.cameras.iter().zip(&self.frames) {
             progress.check()?;
             session.commit_pair(NewPair {

@@ -1,0 +1,361 @@
+//! Least squares where every shot has a factor of its own that all its cells share.
+//!
+//! Cell i of shot s reads `y = m(theta) (1 + u_s) + e`, `u_s ~ N(0, sigma^2)` the flash's jitter, `e ~ N(0, phi v)`
+//! with v the sensor's variance. Cells of one shot are therefore not independent: with relative residuals
+//! `r = y / m - 1`, weights `w = m^2 / (phi v)` and `d = dlog m / dtheta`, the sums of a shot
+//!
+//! ```text
+//! A = sum w d d',  c = sum w d,  g = sum w d r,  W = sum w,  H = sum w r
+//! ```
+//!
+//! give the marginal normal equations `sum_s (A - c c' k) step = sum_s (g - c H k)`, `k = sigma^2 / (1 + sigma^2 W)`
+//! (Woodbury's identity; Searle, Casella, McCulloch, "Variance Components", 1992, ch. 6), solved by
+//! Levenberg-Marquardt. sigma is found by restricted maximum likelihood, whose score is
+//! `sum (H / (1 + sigma^2 W))^2 - tr(Z' P Z)`; phi is the mean square of the residuals within the shots. Intervals
+//! are Student's with Satterthwaite's degrees of freedom, which count shots and not cells where the jitter decides
+//! (Giesbrecht and Burns, Biometrics 41, 1985).
+
+use super::linear::Symmetric;
+
+/// Most evaluations of the model.
+const MOST_ROUNDS: usize = 60;
+
+/// By how much a step may raise the objective (twice a logarithm of likelihood): its weights go with the model, so that
+/// it is lowest a little beside the place where the equations hold.
+const SLACK: f64 = 0.02;
+
+/// Steps below this part of the standard errors end the search.
+const CLOSE: f64 = 1e-3;
+
+/// Degrees of freedom that the shots must leave for the jitter to be found from them.
+const LEAST_FREEDOM: f64 = 1.5;
+
+/// What the fit needs of one shot at some parameters; residuals and derivatives are relative to the model, weights by
+/// the sensor's variance alone.
+#[derive(Clone, Debug)]
+pub(super) struct ShotSums {
+    pub(super) a: Symmetric,
+    pub(super) c: Vec<f64>,
+    pub(super) g: Vec<f64>,
+    pub(super) w: f64,
+    pub(super) h: f64,
+    /// Sum of w r^2.
+    pub(super) chi: f64,
+    /// Cells, and unweighted sums of r and r^2.
+    pub(super) count: f64,
+    pub(super) plain: f64,
+    pub(super) squares: f64,
+}
+
+impl ShotSums {
+    pub(super) fn zero(n: usize) -> Self {
+        let (a, c) = (Symmetric::zero(n), vec![0.0; n]);
+        Self { a, g: c.clone(), c, w: 0.0, h: 0.0, chi: 0.0, count: 0.0, plain: 0.0, squares: 0.0 }
+    }
+
+    /// One cell.
+    pub(super) fn add(&mut self, weight: f64, residual: f64, derivative: &[f64]) {
+        self.a.add_outer(derivative, weight);
+        for ((c, g), d) in self.c.iter_mut().zip(&mut self.g).zip(derivative) {
+            *c += weight * d;
+            *g += weight * d * residual;
+        }
+        self.w += weight;
+        self.h += weight * residual;
+        self.chi += weight * residual * residual;
+        self.count += 1.0;
+        self.plain += residual;
+        self.squares += residual * residual;
+    }
+
+    /// The shot's own factor less 1.
+    pub(super) fn own(&self) -> f64 {
+        self.h / self.w
+    }
+
+    /// Root mean square of the residuals about the shot's own factor.
+    pub(super) fn rms(&self) -> f64 {
+        let n = self.count.max(1.0);
+        (self.squares / n - (self.plain / n).powi(2)).max(0.0).sqrt()
+    }
+}
+
+/// What is fitted.
+pub(super) trait Model {
+    /// Sums of every shot; `None` where the parameters make no sense.
+    fn sums(&self, theta: &[f64]) -> Option<Vec<ShotSums>>;
+    /// Precision of the knowledge that each parameter is 0, beforehand.
+    fn precision(&self) -> &[f64];
+}
+
+/// What came out.
+#[derive(Clone, Debug)]
+pub(super) struct Solution {
+    pub(super) theta: Vec<f64>,
+    /// Covariance of `theta`.
+    pub(super) covariance: Symmetric,
+    /// Sums at `theta`.
+    pub(super) sums: Vec<ShotSums>,
+    /// Variance of the jitter, relative.
+    pub(super) variance: f64,
+    /// Degrees of freedom by which it was found; `None` if it was given.
+    pub(super) freedom: Option<f64>,
+    /// phi.
+    pub(super) dispersion: f64,
+    normal: Symmetric,
+}
+
+/// Weight of the jitter in a shot: k.
+fn kernel(s: &ShotSums, variance: f64, phi: f64) -> f64 {
+    variance / (phi + variance * s.w)
+}
+
+fn normal_of(s: &ShotSums, variance: f64, phi: f64) -> Symmetric {
+    let mut n = Symmetric::zero(s.c.len());
+    n.add(&s.a, 1.0 / phi);
+    n.add_outer(&s.c, -kernel(s, variance, phi) / phi);
+    n
+}
+
+fn gradient_of(s: &ShotSums, variance: f64, phi: f64) -> Vec<f64> {
+    let k = kernel(s, variance, phi);
+    s.g.iter().zip(&s.c).map(|(g, c)| (g - c * s.h * k) / phi).collect()
+}
+
+fn normal(sums: &[ShotSums], precision: &[f64], variance: f64, phi: f64) -> Symmetric {
+    let mut n = Symmetric::zero(precision.len());
+    sums.iter().for_each(|s| n.add(&normal_of(s, variance, phi), 1.0));
+    precision.iter().enumerate().for_each(|(i, p)| n.add_diagonal(i, *p));
+    n
+}
+
+fn objective(sums: &[ShotSums], theta: &[f64], precision: &[f64], variance: f64, phi: f64) -> f64 {
+    let of = |s: &ShotSums| (s.chi - s.h * s.h * kernel(s, variance, phi)) / phi;
+    let prior: f64 = theta.iter().zip(precision).map(|(t, p)| p * t * t).sum();
+    sums.iter().map(of).sum::<f64>() + prior
+}
+
+/// Mean square of the residuals within the shots, 1 at least: the sensor's noise is not less than it is.
+fn dispersion(sums: &[ShotSums], unknowns: usize) -> f64 {
+    let within: f64 = sums.iter().map(|s| s.chi - s.h * s.h / s.w).sum();
+    let count: f64 = sums.iter().map(|s| s.count).sum();
+    let freedom = count - (sums.len() + unknowns) as f64;
+    if freedom > 0.0 { (within / freedom).max(1.0) } else { 1.0 }
+}
+
+/// Score of the restricted likelihood and twice its expected information at a jitter variance.
+fn restricted(sums: &[ShotSums], precision: &[f64], variance: f64, phi: f64) -> Option<(f64, f64)> {
+    let inverse = normal(sums, precision, variance, phi).inverse()?;
+    let damp = |s: &ShotSums| 1.0 / (phi + variance * s.w);
+    let d: Vec<Vec<f64>> = sums.iter().map(|s| s.c.iter().map(|c| c * damp(s)).collect()).collect();
+    let (mut score, mut information) = (0.0, 0.0);
+    for (i, s) in sums.iter().enumerate() {
+        let projected = inverse.times(&d[i]);
+        for (j, dj) in d.iter().enumerate() {
+            let own = if i == j { s.w * damp(s) } else { 0.0 };
+            let p = own - projected.iter().zip(dj).map(|(a, b)| a * b).sum::<f64>();
+            information += p * p;
+            score -= if i == j { p } else { 0.0 };
+        }
+        score += (s.h * damp(s)).powi(2);
+    }
+    Some((score, information))
+}
+
+/// The jitter's variance and the degrees of freedom by which it is known; that of `usual` where the shots leave too few.
+fn jitter(sums: &[ShotSums], precision: &[f64], usual: f64, phi: f64) -> Option<(f64, Option<f64>)> {
+    let otherwise = usual * usual;
+    let freedom = |variance: f64| {
+        restricted(sums, precision, variance, phi).map(|(_, twice)| variance * variance * twice)
+    };
+    if freedom(otherwise)? < LEAST_FREEDOM {
+        return Some((otherwise, None));
+    }
+    let (mut low, mut high) = (1e-14f64, 1.0f64);
+    if restricted(sums, precision, low, phi)?.0 <= 0.0 {
+        // No jitter is seen beside the sensor's noise.
+        return Some((0.0, Some(freedom(otherwise)?)));
+    }
+    for _ in 0..30 {
+        let middle = (low * high).sqrt();
+        match restricted(sums, precision, middle, phi)?.0 > 0.0 {
+            true => low = middle,
+            false => high = middle,
+        }
+    }
+    Some((low, Some(freedom(low)?)))
+}
+
+/// Fits from a start; `usual` is the jitter (relative standard deviation) that is taken where the shots are too few to tell
+/// it. `None` if the shots cannot tell all parameters apart.
+pub(super) fn solve(model: &impl Model, start: Vec<f64>, usual: f64) -> Option<Solution> {
+    let precision = model.precision();
+    let unknowns = start.len();
+    let (mut theta, mut damping) = (start, 0.0f64);
+    let mut sums = model.sums(&theta)?;
+    let mut settled = 0;
+    for _ in 0..MOST_ROUNDS {
+        let phi = dispersion(&sums, unknowns);
+        let (variance, freedom) = jitter(&sums, precision, usual, phi)?;
+        let plain = normal(&sums, precision, variance, phi);
+        let covariance = plain.inverse()?;
+        if settled == 2 {
+            let normal = plain;
+            return Some(Solution { theta, covariance, sums, variance, freedom, dispersion: phi, normal });
+        }
+        let mut right: Vec<f64> = theta.iter().zip(precision).map(|(t, p)| -t * p).collect();
+        for s in &sums {
+            right.iter_mut().zip(gradient_of(s, variance, phi)).for_each(|(r, g)| *r += g);
+        }
+        let mut damped = plain.clone();
+        (0..unknowns).for_each(|i| damped.add_diagonal(i, damping * plain.at(i, i)));
+        let step = damped.inverse()?.times(&right);
+        let next: Vec<f64> = theta.iter().zip(&step).map(|(t, s)| t + s).collect();
+        let before = objective(&sums, &theta, precision, variance, phi);
+        let close = (0..unknowns).all(|i| step[i].abs() <= CLOSE * covariance.at(i, i).sqrt());
+        let tried = model.sums(&next).filter(|tried| {
+            let after = objective(tried, &next, precision, variance, phi);
+            after.is_finite() && (after <= before + SLACK || close)
+        });
+        match tried {
+            Some(tried) => {
+                (theta, sums) = (next, tried);
+                damping = if damping < 1e-6 { 0.0 } else { damping / 10.0 };
+                settled = if close { settled + 1 } else { 0 };
+            }
+            None if damping > 1e8 => return None,
+            None => damping = (10.0 * damping).max(1e-3),
+        }
+    }
+    None
+}
+
+impl Solution {
+    /// Standard error of a linear form of the parameters.
+    pub(super) fn error(&self, form: &[f64]) -> f64 {
+        self.covariance.form(form).max(0.0).sqrt()
+    }
+
+    /// Half of the 95 % interval of a linear form.
+    pub(super) fn half_interval(&self, form: &[f64]) -> f64 {
+        self.error(form) * self.freedom_of(form).map_or(NORMAL, student)
+    }
+
+    /// Satterthwaite's degrees of freedom of a linear form's variance; `None` if nothing of it was estimated.
+    fn freedom_of(&self, form: &[f64]) -> Option<f64> {
+        let freedom = self.freedom?;
+        let spread = self.covariance.times(form);
+        let slope: f64 = self
+            .sums
+            .iter()
+            .map(|s| {
+                let along: f64 = s.c.iter().zip(&spread).map(|(a, b)| a * b).sum();
+                (along / (self.dispersion + self.variance * s.w)).powi(2)
+            })
+            .sum();
+        // The variance of the estimated variance is 2 variance^2 / freedom.
+        let part = slope * self.variance / self.covariance.form(form);
+        (part > 1e-6).then(|| (freedom / (part * part)).max(1.0))
+    }
+
+    /// What a shot would have been off a fit made without it (one step from the optimum), relative.
+    pub(super) fn left_out(&self, shot: usize) -> Option<f64> {
+        let s = &self.sums[shot];
+        let mut rest = self.normal.clone();
+        rest.add(&normal_of(s, self.variance, self.dispersion), -1.0);
+        let pull: Vec<f64> = gradient_of(s, self.variance, self.dispersion).iter().map(|g| -g).collect();
+        let step = rest.inverse()?.times(&pull);
+        Some((s.h - s.c.iter().zip(step).map(|(c, d)| c * d).sum::<f64>()) / s.w)
+    }
+}
+
+/// 97.5 % point of the normal distribution.
+const NORMAL: f64 = 1.959_964;
+
+/// 97.5 % point of Student's distribution, interpolated in 1 / degrees of freedom between tabled values.
+fn student(freedom: f64) -> f64 {
+    const TABLE: [(f64, f64); 13] = [
+        (1.0, 12.7062),
+        (2.0, 4.3027),
+        (3.0, 3.1824),
+        (4.0, 2.7764),
+        (5.0, 2.5706),
+        (6.0, 2.4469),
+        (8.0, 2.3060),
+        (10.0, 2.2281),
+        (15.0, 2.1314),
+        (20.0, 2.0860),
+        (30.0, 2.0423),
+        (60.0, 2.0003),
+        (f64::INFINITY, NORMAL),
+    ];
+    let inverse = 1.0 / freedom.max(1.0);
+    for pair in TABLE.windows(2) {
+        let ((n0, t0), (n1, t1)) = (pair[0], pair[1]);
+        if inverse >= 1.0 / n1 {
+            let part = (inverse - 1.0 / n1) / (1.0 / n0 - 1.0 / n1);
+            return (part * t0.ln() + (1.0 - part) * t1.ln()).exp();
+        }
+    }
+    NORMAL
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One unknown, the logarithm of a level that every shot shows with its factor.
+    struct Level {
+        shots: Vec<Vec<f64>>,
+        deviation: f64,
+    }
+
+    impl Model for Level {
+        fn sums(&self, theta: &[f64]) -> Option<Vec<ShotSums>> {
+            let m = theta[0].exp();
+            let of = |cells: &Vec<f64>| {
+                let mut s = ShotSums::zero(1);
+                cells.iter().for_each(|y| s.add((m / self.deviation).powi(2), y / m - 1.0, &[1.0]));
+                s
+            };
+            Some(self.shots.iter().map(of).collect())
+        }
+
+        fn precision(&self) -> &[f64] {
+            &[0.0]
+        }
+    }
+
+    #[test]
+    fn with_one_level_it_is_the_mean_of_the_shots_with_students_interval() {
+        let means = [98.0, 101.0, 103.0, 99.5, 100.2];
+        let shots = means.iter().map(|m| vec![m - 1e-3, *m, m + 1e-3]).collect();
+        let fit = solve(&Level { shots, deviation: 1e-3 }, vec![4.0], 0.003);
+        let fit = fit.unwrap();
+        let mean = means.iter().sum::<f64>() / 5.0;
+        let sd = (means.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / 4.0).sqrt();
+        assert!((fit.theta[0].exp() / mean - 1.0).abs() < 1e-6, "{fit:?}");
+        assert!((fit.variance.sqrt() / (sd / mean) - 1.0).abs() < 1e-3, "{fit:?}");
+        let wanted = 2.7764 * sd / mean / 5f64.sqrt();
+        assert!((fit.half_interval(&[1.0]) / wanted - 1.0).abs() < 1e-3);
+        let others = (means.iter().sum::<f64>() - 98.0) / 4.0;
+        assert!((fit.left_out(0).unwrap() - (98.0 - others) / mean).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_single_shot_takes_the_jitter_that_is_given() {
+        let fit = solve(&Level { shots: vec![vec![50.0; 9]], deviation: 0.1 }, vec![3.0], 0.004);
+        let fit = fit.unwrap();
+        assert_eq!(fit.freedom, None);
+        assert!((fit.error(&[1.0]) / 0.004 - 1.0).abs() < 0.05);
+        assert!(fit.left_out(0).is_none());
+    }
+
+    #[test]
+    fn students_points_between_the_tabled_ones() {
+        for (freedom, point) in [(1.0, 12.706), (7.0, 2.3646), (12.0, 2.1788), (40.0, 2.0211), (1e9, 1.95996)]
+        {
+            assert!((student(freedom) / point - 1.0).abs() < 2e-3, "{freedom}");
+        }
+    }
+}
