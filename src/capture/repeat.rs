@@ -12,10 +12,10 @@ use super::events::Topic;
 use super::hands::Hands;
 use crate::pair::energy::{FEWEST_SHOTS, RepeatError, RepeatShot, Repeatability, repeatability};
 use crate::pair::{FlashRecord, Reason, ReasonCode, Settings, Window, proof};
-use crate::photometry::saturation::SaturationTable;
+use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{KnownMosaic, Mosaic, NoiseModel, isolate};
 use crate::pipeline::energy::repeatability_file;
-use crate::pipeline::saturation;
+use crate::pipeline::levels;
 use crate::progress::Progress;
 use crate::raster::Image;
 use crate::rig;
@@ -68,7 +68,7 @@ struct Shot {
 
 /// What the shots of a series share.
 struct Series<'a> {
-    measured: &'a SaturationTable,
+    measured: &'a MeasuredLevels,
     window: Window,
     left_out: u32,
     /// What the first shot tells.
@@ -100,7 +100,7 @@ impl Engine {
         if shots < FEWEST_SHOTS {
             return Err(RepeatError::TooFew(shots).into());
         }
-        let measured = saturation::load(session).map_err(CaptureError::Saturation)?;
+        let measured = levels::load(session).map_err(CaptureError::Levels)?;
         let window = session.manifest().region.unwrap_or(MIDDLE);
         let mut series =
             Series { measured: &measured, window, left_out: 0, first: None, files: HashSet::new() };
@@ -228,7 +228,7 @@ impl Series<'_> {
             let words = "The camera gave a file of an earlier shot again; restart the camera if it goes on.";
             return Err(refused(ReasonCode::Repeated, words.into()));
         }
-        let photo = saturation::decode(&shot.raw.bytes, &shot.raw.name, self.measured).map_err(|error| {
+        let photo = levels::decode(&shot.raw.bytes, &shot.raw.name, self.measured).map_err(|error| {
             refused(ReasonCode::Unreadable, format!("The frame cannot be read: {error}."))
         })?;
         Ok((part(&photo.mosaic, self.window), photo.settings))

@@ -4,11 +4,12 @@ use crate::calibration::FlashCalibration;
 use crate::codec::raw::RawError;
 use crate::pair::{PairRecord, Settings};
 use crate::photometry::apex::{ExposureScale, Nominal};
-use crate::photometry::saturation::SaturationTable;
+use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{
     FlashGain, IsolateError, Known, KnownMosaic, NoiseModel, RoomLight, demosaic, isolate, isolate_mean,
 };
-use crate::pipeline::saturation::{self, SaturationError};
+use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::levels;
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
 use crate::units::{FNumber, Iso};
@@ -19,9 +20,9 @@ pub enum DevelopError {
     /// A frame cannot be decoded.
     #[error(transparent)]
     Raw(#[from] RawError),
-    /// The session's saturation table cannot be read.
+    /// The session's measured levels cannot be read.
     #[error(transparent)]
-    Saturation(#[from] SaturationError),
+    Levels(#[from] RecordError),
     /// The frames do not fit together.
     #[error("pair {name}: {source}")]
     Isolate {
@@ -83,18 +84,18 @@ pub fn known_sites(
     pair: &PairRecord,
     calibration: &FlashCalibration,
 ) -> Result<KnownMosaic, DevelopError> {
-    isolated_sites(session, pair, &saturation::load(session)?, &calibration.noise)
+    isolated_sites(session, pair, &levels::load(session)?, &calibration.noise)
 }
 
 /// The same with the sensor's saturation and noise as given.
 pub(super) fn isolated_sites(
     session: &Session,
     pair: &PairRecord,
-    measured: &SaturationTable,
+    measured: &MeasuredLevels,
     noise: &NoiseModel,
 ) -> Result<KnownMosaic, DevelopError> {
     let folder = session.pair_dir(pair);
-    let read = |file: &str| saturation::read(&folder.join(file), measured);
+    let read = |file: &str| levels::read(&folder.join(file), measured);
     let (on, off) = rayon::join(|| read(&pair.on.file), || read(&pair.off.file));
     let scale = exposure_ratio(&pair.on.settings, &pair.off.settings)
         .map_err(|setting| DevelopError::Lacking { name: pair.name.clone(), setting })?;

@@ -5,7 +5,8 @@ use crate::codec::raw::RawError;
 use crate::light::{Ring, RingError};
 use crate::pair::{FlashRecord, FrameRecord, Settings};
 use crate::photometry::{IsolateError, NoNoise, NoiseModel, isolate, isolate_dark};
-use crate::pipeline::saturation::{self, SaturationError};
+use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::levels;
 use crate::pipeline::{develop::exposure_ratio, scene};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Distortion, Intrinsics};
@@ -65,9 +66,9 @@ pub enum FlashError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// The session's saturation table cannot be read.
+    /// The session's measured levels cannot be read.
     #[error(transparent)]
-    Saturation(#[from] SaturationError),
+    Levels(#[from] RecordError),
     /// The session refused.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -115,13 +116,13 @@ pub fn calibrate(
     progress: &Progress,
 ) -> Result<FlashCalibration, FlashError> {
     let ring = Ring::new(facts.ring_radii[0], facts.ring_radii[1])?;
-    let measured = saturation::load(session)?;
+    let measured = levels::load(session)?;
     let (mut frames, mut settings) = (vec![], None::<Settings>);
     for (i, shot) in shots.iter().enumerate() {
         progress.check()?;
         progress.report("reading card shots", i, shots.len());
-        let on = saturation::read(&shot.on, &measured)?;
-        let off = shot.off.as_deref().map(|off| saturation::read(off, &measured)).transpose()?;
+        let on = levels::read(&shot.on, &measured)?;
+        let off = shot.off.as_deref().map(|off| levels::read(off, &measured)).transpose()?;
         same_settings(settings.get_or_insert_with(|| on.settings.clone()), &on.settings, &shot.on)?;
         let off = match off {
             Some(off) => {

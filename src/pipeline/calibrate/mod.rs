@@ -3,11 +3,12 @@
 //! A calibration of the kind `levels` is `calibration/levels.json` (a [`Record`]), `calibration/levels.svg` (its
 //! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already).
 
-use super::saturation::{self, SaturationError};
+use super::calibrate::RecordError;
+use super::levels;
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 use crate::codec::raw::{Photo, RawError};
 use crate::export::chart::{self, Chart};
-use crate::photometry::saturation::SaturationTable;
+use crate::photometry::levels::MeasuredLevels;
 use crate::progress::{Cancelled, Progress};
 use crate::session::{Session, SessionError, store, utc_now};
 use serde::Serialize;
@@ -49,9 +50,9 @@ pub enum SeriesError {
     /// A shot changed while it was used.
     #[error("{} changed while it was read; try again when nothing writes it any more", .0.display())]
     Changed(PathBuf),
-    /// The session's saturation table cannot be read.
+    /// The session's measured levels cannot be read.
     #[error(transparent)]
-    Saturation(#[from] SaturationError),
+    Levels(#[from] RecordError),
     /// A calibration's file is broken.
     #[error("{} is damaged ({reason}); calibrate again", path.display())]
     Damaged {
@@ -80,7 +81,7 @@ pub enum SeriesError {
 pub(super) struct Series<'a> {
     session: &'a Session,
     kind: &'static str,
-    measured: SaturationTable,
+    measured: MeasuredLevels,
     rig: Rig,
     shots: Vec<Shot>,
     /// Where each shot was read from.
@@ -90,7 +91,7 @@ pub(super) struct Series<'a> {
 impl<'a> Series<'a> {
     /// A series without shots yet, to be kept as a calibration of this kind.
     pub(super) fn new(session: &'a Session, kind: &'static str) -> Result<Self, SeriesError> {
-        let measured = saturation::load(session)?;
+        let measured = levels::load(session)?;
         Ok(Self { session, kind, measured, rig: Rig::default(), shots: vec![], paths: vec![] })
     }
 
@@ -98,7 +99,7 @@ impl<'a> Series<'a> {
     /// count of those.
     pub(super) fn read(&mut self, path: &Path) -> Result<Photo, SeriesError> {
         let bytes = std::fs::read(path).map_err(io(path))?;
-        let photo = saturation::decode(&bytes, &path.display().to_string(), &self.measured)?;
+        let photo = levels::decode(&bytes, &path.display().to_string(), &self.measured)?;
         let settings = &photo.settings;
         let other = |source| SeriesError::OtherRig { path: path.to_owned(), source };
         self.rig.same_lens(settings, "the first shot").map_err(other)?;
