@@ -3,8 +3,10 @@
 //! A calibration of the kind `levels` is `calibration/levels.json` (a [`Record`]), `calibration/levels.svg` (its
 //! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already).
 
-use super::calibrate::RecordError;
-use super::levels;
+pub mod levels;
+pub mod noise;
+
+use super::levels as sensor_levels;
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 use crate::codec::raw::{Photo, RawError};
 use crate::export::chart::{self, Chart};
@@ -50,9 +52,29 @@ pub enum SeriesError {
     /// A shot changed while it was used.
     #[error("{} changed while it was read; try again when nothing writes it any more", .0.display())]
     Changed(PathBuf),
-    /// The session's measured levels cannot be read.
+    /// A calibration's record cannot be read or written.
     #[error(transparent)]
-    Levels(#[from] RecordError),
+    Record(#[from] RecordError),
+    /// The session refused.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// Stopped on request.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+/// Why a calibration that was made could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordError {
+    /// The disk refused.
+    #[error("{}: {source}; check that the disk is there and readable", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's own word.
+        source: std::io::Error,
+    },
     /// A calibration's file is broken.
     #[error("{} is damaged ({reason}); calibrate again", path.display())]
     Damaged {
@@ -69,12 +91,6 @@ pub enum SeriesError {
         /// Its form.
         found: u32,
     },
-    /// The session refused.
-    #[error(transparent)]
-    Session(#[from] SessionError),
-    /// Stopped on request.
-    #[error(transparent)]
-    Cancelled(#[from] Cancelled),
 }
 
 /// A series of shots as they are read.
@@ -91,7 +107,7 @@ pub(super) struct Series<'a> {
 impl<'a> Series<'a> {
     /// A series without shots yet, to be kept as a calibration of this kind.
     pub(super) fn new(session: &'a Session, kind: &'static str) -> Result<Self, SeriesError> {
-        let measured = levels::load(session)?;
+        let measured = sensor_levels::load(session)?;
         Ok(Self { session, kind, measured, rig: Rig::default(), shots: vec![], paths: vec![] })
     }
 
@@ -99,7 +115,7 @@ impl<'a> Series<'a> {
     /// count of those.
     pub(super) fn read(&mut self, path: &Path) -> Result<Photo, SeriesError> {
         let bytes = std::fs::read(path).map_err(io(path))?;
-        let photo = levels::decode(&bytes, &path.display().to_string(), &self.measured)?;
+        let photo = sensor_levels::decode(&bytes, &path.display().to_string(), &self.measured)?;
         let settings = &photo.settings;
         let other = |source| SeriesError::OtherRig { path: path.to_owned(), source };
         self.rig.same_lens(settings, "the first shot").map_err(other)?;
@@ -175,7 +191,7 @@ impl<'a> Series<'a> {
         session.keep(&folder.join(format!("{kind}.svg")), chart::picture(figure).as_bytes())?;
         let path = file(session, kind);
         let bytes = serde_json::to_vec_pretty(&record)
-            .map_err(|e| SeriesError::Damaged { path: path.clone(), reason: e.to_string() })?;
+            .map_err(|e| RecordError::Damaged { path: path.clone(), reason: e.to_string() })?;
         session.keep(&path, &bytes)?;
         progress.report("copying the shots", count, count);
         Ok(record)
@@ -186,7 +202,7 @@ impl<'a> Series<'a> {
 pub(super) fn load<T: DeserializeOwned>(
     session: &Session,
     kind: &str,
-) -> Result<Option<Record<T>>, SeriesError> {
+) -> Result<Option<Record<T>>, RecordError> {
     #[derive(serde::Deserialize)]
     struct Form {
         schema: u32,
@@ -194,12 +210,12 @@ pub(super) fn load<T: DeserializeOwned>(
     let path = file(session, kind);
     let bytes = match std::fs::read(&path) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
-        other => other.map_err(io(&path))?,
+        other => other.map_err(|source| RecordError::Io { path: path.clone(), source })?,
     };
-    let damaged = |e: serde_json::Error| SeriesError::Damaged { path: path.clone(), reason: e.to_string() };
+    let damaged = |e: serde_json::Error| RecordError::Damaged { path: path.clone(), reason: e.to_string() };
     let Form { schema: found } = serde_json::from_slice(&bytes).map_err(damaged)?;
     if found > SCHEMA {
-        return Err(SeriesError::TooNew { path, found });
+        return Err(RecordError::TooNew { path, found });
     }
     serde_json::from_slice(&bytes).map(Some).map_err(damaged)
 }
