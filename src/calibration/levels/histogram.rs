@@ -69,8 +69,8 @@ impl Histogram {
         let mut centre = Centre { mean: median, variance: (0.5 * (high - low)).powi(2), count: 0 };
         for _ in 0..3 {
             // Rounding alone spreads by half a unit.
-            let reach = OUTLIER * centre.variance.sqrt().max(0.5);
-            let within = || self.occurring().filter(|(v, _)| (v - centre.mean).abs() <= reach);
+            let (middle, reach) = (centre.mean, OUTLIER * centre.variance.sqrt().max(0.5));
+            let within = || self.occurring().filter(move |(v, _)| (v - middle).abs() <= reach);
             let count: u64 = within().map(|(_, n)| n).sum();
             if count < 2 {
                 return None;
