@@ -1,12 +1,15 @@
 //! `unlit calibrate`: measures the rig from calibration shots.
 
+mod levels;
+mod noise;
+
+use crate::calibration::{Record, Shot, Verdict};
 use crate::capture::{Engine, Events, words_on_repeatability};
 use crate::cli::devices::DeviceArgs;
 use crate::cli::settings::ConfigArgs;
 use crate::cli::shoot::tell_of_recovery;
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pair::Limits;
-use crate::pipeline;
 use crate::pipeline::flash::{CardFacts, CardFiles, calibrate};
 use std::path::PathBuf;
 
@@ -15,8 +18,10 @@ use std::path::PathBuf;
 pub(super) enum Calibrate {
     /// The flash, from shots of a white card that fills the frame and faces the camera.
     Flash(FlashArgs),
-    /// Where the sensor clips, from deliberately blown frames: one at every ISO in use.
-    Saturation(SaturationArgs),
+    /// Black, read noise and saturation of the sensor, from dark frames (lens cap) and deliberately blown ones.
+    Levels(levels::LevelsArgs),
+    /// Gain, read noise, full well and linearity of the sensor, from pairs of evenly lit frames (photon transfer).
+    Noise(noise::NoiseArgs),
     /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller.
     Repeatability(RepeatabilityArgs),
 }
@@ -34,16 +39,6 @@ pub(super) struct RepeatabilityArgs {
     devices: DeviceArgs,
     #[command(flatten)]
     _config: ConfigArgs,
-}
-
-/// Arguments of `unlit calibrate saturation`.
-#[derive(clap::Args)]
-pub(super) struct SaturationArgs {
-    /// Session folder.
-    session: PathBuf,
-    /// Raw files of a bright, even surface, over-exposed by three stops or more.
-    #[arg(required = true)]
-    frames: Vec<PathBuf>,
 }
 
 /// Arguments of `unlit calibrate flash`.
@@ -87,7 +82,8 @@ fn shot(text: &str) -> Result<CardFiles, String> {
 pub(super) fn run(what: &Calibrate) -> CliResult {
     match what {
         Calibrate::Flash(args) => flash(args),
-        Calibrate::Saturation(args) => saturation(args),
+        Calibrate::Levels(args) => levels::run(args),
+        Calibrate::Noise(args) => noise::run(args),
         Calibrate::Repeatability(args) => repeatability(args),
     }
 }
@@ -117,22 +113,21 @@ fn repeatability(args: &RepeatabilityArgs) -> CliResult {
     Ok(Exit::Success)
 }
 
-fn saturation(args: &SaturationArgs) -> CliResult {
-    let session = open_session(&args.session)?;
-    let (bar, progress) = progress_bar::watched();
-    let entries = pipeline::saturation::calibrate(&session, &args.frames, &progress);
-    bar.finish_and_clear();
-    for entry in entries.map_err(CliError::new)? {
-        let isos: Vec<String> = entry.isos.iter().map(f64::to_string).collect();
-        let [[a, b], [c, d]] = entry.saturation;
-        println!(
-            "{} ISO {}: {a:.0} {b:.0} / {c:.0} {d:.0} DN, {}",
-            entry.model,
-            isos.join(", "),
-            entry.origin
-        );
-    }
+/// The record as JSON on stdout, and nothing else there.
+fn print_json<T: serde::Serialize>(record: &Record<T>) -> CliResult {
+    println!("{}", serde_json::to_string_pretty(record).map_err(CliError::new)?);
     Ok(Exit::Success)
+}
+
+/// The verdict in words, and every shot that was left out.
+fn print_verdict(verdict: &Verdict, shots: &[Shot]) {
+    verdict.sentences.iter().for_each(|sentence| println!("{sentence}"));
+    for shot in shots {
+        if let Some(why) = &shot.left_out {
+            println!("left out: {}: {why}", shot.file);
+        }
+    }
+    println!();
 }
 
 fn flash(args: &FlashArgs) -> CliResult {
