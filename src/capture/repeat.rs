@@ -14,6 +14,7 @@ use crate::pair::energy::{FEWEST_SHOTS, RepeatError, RepeatShot, Repeatability, 
 use crate::pair::{FlashRecord, Reason, ReasonCode, Settings, Window, proof};
 use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{KnownMosaic, Mosaic, NoiseModel, isolate};
+use crate::pipeline::calibrate::noise;
 use crate::pipeline::energy::repeatability_file;
 use crate::pipeline::levels;
 use crate::progress::Progress;
@@ -68,6 +69,7 @@ struct Shot {
 
 /// What the shots of a series share.
 struct Series<'a> {
+    session: &'a Session,
     measured: &'a MeasuredLevels,
     window: Window,
     left_out: u32,
@@ -103,7 +105,7 @@ impl Engine {
         let measured = levels::load(session).map_err(CaptureError::Levels)?;
         let window = session.manifest().region.unwrap_or(MIDDLE);
         let mut series =
-            Series { measured: &measured, window, left_out: 0, first: None, files: HashSet::new() };
+            Series { session, measured: &measured, window, left_out: 0, first: None, files: HashSet::new() };
         let mut bench = self.take_bench();
         let mut hands = Hands { bench: &mut bench, prompter: self.prompter(), progress };
         let taken = self.take_series(&mut hands, &mut series, shots);
@@ -241,7 +243,10 @@ impl Series<'_> {
             Some(first) => first,
             empty => empty.insert(First {
                 settings: shot.settings[1].clone(),
-                noise: NoiseModel::measure(&[shot.off.clone(), shot.on.clone()])?,
+                noise: match noise::model(self.session, &shot.settings[1]).map_err(CaptureError::Levels)? {
+                    Some(measured) => measured,
+                    None => NoiseModel::measure(&[shot.off.clone(), shot.on.clone()])?,
+                },
                 sites: safe_sites(&shot.on),
             }),
         };

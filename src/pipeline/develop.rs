@@ -8,7 +8,7 @@ use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{
     FlashGain, IsolateError, Known, KnownMosaic, NoiseModel, RoomLight, demosaic, isolate, isolate_mean,
 };
-use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::calibrate::{self, RecordError};
 use crate::pipeline::levels;
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
@@ -79,12 +79,14 @@ pub fn known_light(
 
 /// The flash's own light of a pair on sensor sites, at whatever energy the pulse had. Of several frames without flash
 /// the mean is taken off: as [`order`](crate::pair::order) has them, every slope of the room's light cancels in it.
+/// Variances are those of the session's noise calibration, where it is of this body and ISO, else the flash calibration's.
 pub fn known_sites(
     session: &Session,
     pair: &PairRecord,
     calibration: &FlashCalibration,
 ) -> Result<KnownMosaic, DevelopError> {
-    isolated_sites(session, pair, &levels::load(session)?, &calibration.noise)
+    let noise = calibrate::noise::model(session, &pair.on.settings)?.unwrap_or(calibration.noise);
+    isolated_sites(session, pair, &levels::load(session)?, &noise)
 }
 
 /// The same with the sensor's saturation and noise as given.

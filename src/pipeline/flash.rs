@@ -5,7 +5,7 @@ use crate::codec::raw::RawError;
 use crate::light::{Ring, RingError};
 use crate::pair::{FlashRecord, FrameRecord, Settings};
 use crate::photometry::{IsolateError, NoNoise, NoiseModel, isolate, isolate_dark};
-use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::calibrate::{self, RecordError};
 use crate::pipeline::levels;
 use crate::pipeline::{develop::exposure_ratio, scene};
 use crate::progress::{Cancelled, Progress};
@@ -137,7 +137,10 @@ pub fn calibrate(
     let settings = settings.ok_or(FlashError::NoShots)?;
     progress.report("fitting the flash", 0, 1);
     let lit: Vec<_> = frames.iter().map(|(_, on, _)| on.clone()).collect();
-    let noise = NoiseModel::measure(&lit)?;
+    let noise = match calibrate::noise::model(session, &settings)? {
+        Some(measured) => measured,
+        None => NoiseModel::measure(&lit)?,
+    };
     let intrinsics = lens(session, (lit[0].dn.width(), lit[0].dn.height()), facts.focal_px)?;
     let mut cards = vec![];
     for (shot, on, off) in &frames {

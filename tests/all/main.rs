@@ -7,6 +7,8 @@ mod api_docs;
 mod attempts;
 mod avr;
 mod birdbath;
+mod calibrate_levels;
+mod calibrate_noise;
 mod camera;
 mod camera_faults;
 mod camera_usb;

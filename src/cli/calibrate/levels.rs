@@ -7,11 +7,6 @@ use crate::pipeline::calibrate::levels::calibrate;
 use std::path::PathBuf;
 
 /// Arguments of `unlit calibrate levels`.
-///
-/// Dark frames: lens cap on, viewfinder covered, two frames or more at every ISO in use, with the shutter time of the
-/// photographs. Blown frames: a bright, even surface, over-exposed by three stops or more, one at every ISO in use; a
-/// colour that still does not clip is reported as not reached. Give all frames at once: a new run replaces what was
-/// measured before.
 #[derive(clap::Args)]
 pub(in crate::cli) struct LevelsArgs {
     /// Session folder.

@@ -19,8 +19,18 @@ pub(super) enum Calibrate {
     /// The flash, from shots of a white card that fills the frame and faces the camera.
     Flash(FlashArgs),
     /// Black, read noise and saturation of the sensor, from dark frames (lens cap) and deliberately blown ones.
+    ///
+    /// Dark frames: lens cap on, viewfinder covered, two frames or more at every ISO in use, with the shutter time of
+    /// the photographs. Blown frames: a bright, even surface, over-exposed by three stops or more, one at every ISO in
+    /// use; a colour that still does not clip is reported as not reached. Give all frames at once: a new run replaces
+    /// what was measured before.
     Levels(levels::LevelsArgs),
     /// Gain, read noise, full well and linearity of the sensor, from pairs of evenly lit frames (photon transfer).
+    ///
+    /// How to shoot: an evenly lit plain surface, out of focus, camera on a tripod, all automatic off. Two frames at
+    /// every light level, from dark to just past clipping, eight levels or more: brighten the light between levels by a
+    /// known step (--stops), or leave the light and lengthen the shutter time. Two dark frames (lens cap) of the same ISO
+    /// make the read noise sure. Shots may be given in any order.
     Noise(noise::NoiseArgs),
     /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller.
     Repeatability(RepeatabilityArgs),

@@ -7,11 +7,6 @@ use crate::pipeline::calibrate::noise::{NoiseFrames, calibrate};
 use std::path::PathBuf;
 
 /// Arguments of `unlit calibrate noise`.
-///
-/// How to shoot: an evenly lit plain surface, out of focus, camera on a tripod, all automatic off. Two frames at every
-/// light level, from dark to just past clipping, eight levels or more: brighten the light between levels by a known step
-/// (--stops), or leave the light and lengthen the shutter time. Two dark frames (lens cap) of the same ISO make the read
-/// noise sure. Shots may be given in any order.
 #[derive(clap::Args)]
 pub(in crate::cli) struct NoiseArgs {
     /// Session folder.

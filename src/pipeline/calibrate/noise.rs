@@ -154,7 +154,7 @@ fn input(
     let (dark, lit): (Vec<&Frame>, Vec<&Frame>) = frames.iter().copied().partition(|frame| frame.dark);
     let black = black(&dark, &lit);
     let means = |frames: &[&Frame]| frames.iter().map(|frame| frame.mean).collect::<Vec<_>>();
-    let mut pairs = |members: &[usize], of: &[&Frame], series: &mut Series| -> Result<Vec<PairTiles>, NoiseError> {
+    let pairs = |members: &[usize], of: &[&Frame], series: &mut Series| -> Result<Vec<PairTiles>, NoiseError> {
         let mut found = vec![];
         for two in members.chunks(2) {
             progress.check().map_err(SeriesError::from)?;
