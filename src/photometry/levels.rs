@@ -81,7 +81,8 @@ pub fn settle(mosaic: &mut Mosaic, frame: Origin<'_>, measured: &MeasuredLevels)
         }
     }
     let Some(own) = measured.find(frame) else { return };
-    let (black, saturation) = (overlaid(levels.black, &own.black), overlaid(levels.saturation, &own.saturation));
+    let (black, saturation) =
+        (overlaid(levels.black, &own.black), overlaid(levels.saturation, &own.saturation));
     if !sane(&black, &saturation) {
         tracing::warn!(
             "the session's measured levels (black {black:?}, saturation {saturation:?} DN) do not fit this frame and are not used; run `unlit calibrate levels` again"

@@ -169,8 +169,8 @@ fn spike(counts: &[u64], colour: &'static str) -> Result<Spike, NotBlown> {
 mod tests {
     use super::*;
     use crate::photometry::{Cfa, LevelSource, Levels};
-    use crate::units::Iso;
     use crate::raster::Image;
+    use crate::units::Iso;
     use rand::SeedableRng;
     use rand_distr::{Distribution, Normal};
 
@@ -226,7 +226,9 @@ mod tests {
         let red_never = [[60_000.0, 14_600.0], [14_610.0, 14_733.0]];
         let mut frame = ramp(0.3, red_never);
         let red = ramp(0.0, [[14_733.0; 2]; 2]);
-        frame.dn = Image::from_fn(600, 200, |x, y| *if x & 1 == 0 && y & 1 == 0 { &red } else { &frame }.dn.at(x, y));
+        frame.dn = Image::from_fn(600, 200, |x, y| {
+            *if x & 1 == 0 && y & 1 == 0 { &red } else { &frame }.dn.at(x, y)
+        });
         let [[red, green], [_, blue]] = measure(&frame);
         assert!(matches!(red, Err(NotBlown::NoSpike { colour: "red", .. })), "{red:?}");
         assert!(green.is_ok() && blue.is_ok());

@@ -4,9 +4,9 @@
 //! Photos are as the lens drew them (not undistorted) and as the sensor lay (not turned): full size, sRGB, all brightened
 //! by one factor.
 
+use super::calibrate::RecordError;
 use super::develop::{DevelopError, isolated_sites};
 use super::export::refuse_inside;
-use super::calibrate::RecordError;
 use super::levels;
 use super::scene::{self, SceneError};
 use crate::codec::asset::AssetError;

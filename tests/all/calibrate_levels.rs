@@ -9,7 +9,11 @@ pub(crate) fn json(arguments: &[String]) -> Value {
     let output = Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap();
     let complained = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "unlit {arguments:?}: {complained}");
-    if output.stdout.is_empty() { Value::Null } else { serde_json::from_slice(&output.stdout).unwrap_or(Value::Null) }
+    if output.stdout.is_empty() {
+        Value::Null
+    } else {
+        serde_json::from_slice(&output.stdout).unwrap_or(Value::Null)
+    }
 }
 
 pub(crate) fn file(path: &str) -> String {
@@ -31,7 +35,8 @@ pub(crate) fn session(folder: &std::path::Path) -> String {
 fn black_and_saturation_of_the_bird_baths_camera_are_exact_and_what_never_clips_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let session = session(folder.path());
-    let mut arguments: Vec<String> = ["calibrate", "levels", &session, "--json", "--dark"].map(String::from).into();
+    let mut arguments: Vec<String> =
+        ["calibrate", "levels", &session, "--json", "--dark"].map(String::from).into();
     arguments.extend((0..4).map(|i| file(&format!("calibration/dark/{i}.dng"))));
     arguments.push("--blown".into());
     arguments.extend((0..2).map(|i| file(&format!("calibration/linearity/13_{i}.dng"))));
@@ -56,7 +61,8 @@ fn black_and_saturation_of_the_bird_baths_camera_are_exact_and_what_never_clips_
     assert!(said.contains("red and blue never clips"), "{said}");
     assert!(std::path::Path::new(&session).join("calibration/levels.svg").is_file());
     // Frames are read with it.
-    let told = json(&["inspect".into(), file("bad/good_on.dng"), "--session".into(), session, "--json".into()]);
+    let told =
+        json(&["inspect".into(), file("bad/good_on.dng"), "--session".into(), session, "--json".into()]);
     assert_eq!(told["levels"]["black_source"], "measured");
     assert_eq!(told["levels"]["saturation_source"], "file_tag");
 }

@@ -104,8 +104,7 @@ impl LevelsFit {
     /// The levels as frames are read with.
     pub fn measured(&self, rig: &Rig) -> MeasuredLevels {
         let isos = self.levels.iter().map(|levels| {
-            let mut at =
-                LevelsAt { iso: levels.iso, black: [[None; 2]; 2], saturation: [[None; 2]; 2] };
+            let mut at = LevelsAt { iso: levels.iso, black: [[None; 2]; 2], saturation: [[None; 2]; 2] };
             for site in levels.sites.iter().filter(|site| site.row < 2 && site.column < 2) {
                 at.black[site.row][site.column] = site.black_dn.map(|dn| dn as f32);
                 at.saturation[site.row][site.column] = site.clipped_from_dn.map(|dn| dn as f32);

@@ -35,7 +35,9 @@ pub enum UnfitFrame {
         black: f64,
     },
     /// Dark frames that cannot be laid over each other.
-    #[error("it is {got:?} sites but the dark frames before it are {expected:?}; give full frames of one size")]
+    #[error(
+        "it is {got:?} sites but the dark frames before it are {expected:?}; give full frames of one size"
+    )]
     Size {
         /// Width and height.
         got: (usize, usize),
@@ -401,7 +403,7 @@ mod tests {
     #[test]
     fn green_alone_is_measured_where_green_alone_is_blown() {
         let mut random = ChaCha8Rng::seed_from_u64(5);
-        let normal = Normal::new(0.0, 40.0).unwrap();
+        let normal = Normal::new(0.0f64, 40.0).unwrap();
         let dn = Image::from_fn(160, 120, |x, y| match (x & 1) + (y & 1) {
             1 => 14_733,
             _ => (9000.0 + normal.sample(&mut random)).round() as u16,

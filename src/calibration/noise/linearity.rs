@@ -78,10 +78,14 @@ pub enum NoLinearity {
     )]
     LightUntold,
     /// The step given is impossible.
-    #[error("steps of {0} stops are not possible: give the stops between successive levels, for example 0.75")]
+    #[error(
+        "steps of {0} stops are not possible: give the stops between successive levels, for example 0.75"
+    )]
     Stops(f64),
     /// Shutter or aperture vary beside the light.
-    #[error("shutter time or aperture vary between the frames, but --stops says that the light alone does; give frames of one setting, or leave --stops out")]
+    #[error(
+        "shutter time or aperture vary between the frames, but --stops says that the light alone does; give frames of one setting, or leave --stops out"
+    )]
     SettingsVary,
     /// Levels that do not stand on the ladder.
     #[error(
@@ -98,7 +102,9 @@ pub enum NoLinearity {
         stops: f64,
     },
     /// Too few.
-    #[error("no colour has {FEWEST} levels between 5 and 70 % of the range; shoot more levels of light, up to clipping")]
+    #[error(
+        "no colour has {FEWEST} levels between 5 and 70 % of the range; shoot more levels of light, up to clipping"
+    )]
     TooFew,
 }
 
@@ -180,7 +186,8 @@ pub(super) fn fit(
     let (Some(first), Some(last), Some(top)) = (counting.first(), counting.last(), steps.last()) else {
         return Err(NoLinearity::TooFew);
     };
-    let largest = counting.iter().map(|s| s.deviation).fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
+    let largest =
+        counting.iter().map(|s| s.deviation).fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
     Ok(Linearity {
         light_source,
         linearity_error: counting.iter().map(|s| s.deviation.abs()).sum::<f64>() / counting.len() as f64,
@@ -208,7 +215,8 @@ mod tests {
 
     #[test]
     fn a_straight_sensor_has_no_error_and_a_missing_level_is_told() {
-        let lights: Vec<f64> = (0..14).filter(|k| *k != 6).map(|k| 20.0 * (0.75 * f64::from(k)).exp2()).collect();
+        let lights: Vec<f64> =
+            (0..14).filter(|k| *k != 6).map(|k| 20.0 * (0.75 * f64::from(k)).exp2()).collect();
         let signals: Vec<_> = lights.iter().map(|&light| level(light, |x| x)).collect();
         let (found, missing) = ladder(&signals, 0.75).unwrap();
         assert_eq!(missing, 1);

@@ -418,7 +418,9 @@ impl IsoNoise {
             words.push(format!("Read noise is below {COARSE} DN, so that rounding hides part of it."));
         }
         if self.colours_apart_in_errors > 4.0 {
-            words.push("The colours differ in gain by more than chance; their mean is used for variances.".into());
+            words.push(
+                "The colours differ in gain by more than chance; their mean is used for variances.".into(),
+            );
         }
         if self.dark_apart_in_errors.is_some_and(|errors| errors > 4.0) {
             words.push(

@@ -8,14 +8,14 @@ use rand_distr::{ChiSquared, Distribution};
 /// A rig's statistics as frames of it would give them: tiles of three colours at levels of light, variances spread as
 /// those of 61 degrees of freedom do.
 fn rig(random: &mut ChaCha8Rng, gain: f64, read: f64, dark: bool) -> IsoInput {
-    let freedom = 61.0;
+    let freedom: f64 = 61.0;
     let spread = ChiSquared::new(freedom).unwrap();
-    let mut tile = |colour: usize, signal: f64, random: &mut ChaCha8Rng| {
+    let tile = |colour: usize, signal: f64, random: &mut ChaCha8Rng| {
         let variance = gain * signal + read * read + 1.0 / 12.0;
         let shared = variance / freedom.sqrt() * (spread.sample(random) - freedom) / (2.0 * freedom).sqrt();
         Tile { colour, signal, variance: variance * spread.sample(random) / freedom, freedom, shared }
     };
-    let mut pair = |light: f64, random: &mut ChaCha8Rng| {
+    let pair = |light: f64, random: &mut ChaCha8Rng| {
         let mut tiles = vec![];
         for (colour, share) in [0.5, 1.0, 0.7].into_iter().enumerate() {
             for k in 0..8 {

@@ -44,7 +44,9 @@ pub struct PairTiles {
 
 /// Two frames that cannot be laid over each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("frames of {first:?} and {second:?} sites, or of two filter arrays, cannot be compared; give full frames of one camera")]
+#[error(
+    "frames of {first:?} and {second:?} sites, or of two filter arrays, cannot be compared; give full frames of one camera"
+)]
 pub struct OtherSize {
     /// Width and height of the first.
     pub first: (usize, usize),
@@ -184,7 +186,7 @@ mod tests {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(4);
         let electrons_per_dn = 3.4;
         let read = Normal::new(0.0, 1.5).unwrap();
-        let mut shot = |light: f64, random: &mut rand_chacha::ChaCha8Rng| {
+        let shot = |light: f64, random: &mut rand_chacha::ChaCha8Rng| {
             frame(Image::from_fn(256, 192, |x, y| {
                 let gradient = 1.0 + x as f64 / 512.0 - y as f64 / 900.0;
                 // A checked surface, and one grain of dust.

@@ -89,8 +89,8 @@ impl Desk {
         let record = self.pair(&session, number)?;
         let file = &frame_of(&record, slot)?.file;
         let measured = levels::load(&session).map_err(PlaceError::from)?;
-        let photo = levels::read(&session.pair_dir(&record).join(file), &measured)
-            .map_err(ThumbnailError::from)?;
+        let photo =
+            levels::read(&session.pair_dir(&record).join(file), &measured).map_err(ThumbnailError::from)?;
         let dn = &photo.mosaic.dn;
         let region = session.manifest().region.map(|window| window.sites(dn.width(), dn.height()));
         inspect::inspect(&photo.mosaic, region).map_err(|error| DeskError::BadValue(error.to_string()))

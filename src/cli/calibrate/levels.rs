@@ -32,7 +32,10 @@ pub(super) fn run(args: &LevelsArgs) -> CliResult {
         return print_json(&record);
     }
     print_verdict(&record.verdict, &record.shots);
-    println!("{:<10}{:<10}{:>22}{:>20}{:>14}{:>14}", "ISO", "site", "black", "read noise", "saturation", "clipped from");
+    println!(
+        "{:<10}{:<10}{:>22}{:>20}{:>14}{:>14}",
+        "ISO", "site", "black", "read noise", "saturation", "clipped from"
+    );
     let with_error = |value: Option<f64>, error: Option<f64>| match (value, error) {
         (Some(value), Some(error)) => format!("{value:.3} +- {error:.3}"),
         _ => "-".to_owned(),

@@ -42,7 +42,8 @@ pub(super) fn run(args: &NoiseArgs) -> CliResult {
 }
 
 fn print(noise: &IsoNoise) {
-    let interval = |[low, high]: [f64; 2], digits: usize| format!("(95 %: {low:.digits$} to {high:.digits$})");
+    let interval =
+        |[low, high]: [f64; 2], digits: usize| format!("(95 %: {low:.digits$} to {high:.digits$})");
     println!("{}: {} pairs of frames, {} of dark ones", noise.iso, noise.pairs, noise.dark_pairs);
     println!(
         "  electrons per DN  {:.4} {}",

@@ -125,9 +125,7 @@ fn figure(isos: &[IsoSums], fit: &LevelsFit, verdict: &Verdict) -> Chart {
     }
     let order = fit.levels.first().map(|levels| shown(&levels.sites)).unwrap_or_default();
     let series = order.into_iter().map(|at| {
-        let point = |levels: &IsoLevels| {
-            Some((levels.iso.0.log2(), levels.sites[at].saturation_dn?, 0.0))
-        };
+        let point = |levels: &IsoLevels| Some((levels.iso.0.log2(), levels.sites[at].saturation_dn?, 0.0));
         chart::Series {
             name: fit.levels[0].sites[at].colour.clone(),
             points: fit.levels.iter().filter_map(point).collect(),

@@ -108,8 +108,11 @@ impl<'a> Series<'a> {
     /// A series without shots yet, to be kept as a calibration of this kind.
     pub(super) fn new(session: &'a Session, kind: &'static str) -> Result<Self, SeriesError> {
         // Levels are measured on the frames as they are, whatever an earlier measurement said.
-        let measured =
-            if kind == sensor_levels::KIND { MeasuredLevels::default() } else { sensor_levels::load(session)? };
+        let measured = if kind == sensor_levels::KIND {
+            MeasuredLevels::default()
+        } else {
+            sensor_levels::load(session)?
+        };
         Ok(Self { session, kind, measured, rig: Rig::default(), shots: vec![], paths: vec![] })
     }
 

@@ -154,31 +154,35 @@ fn input(
     let (dark, lit): (Vec<&Frame>, Vec<&Frame>) = frames.iter().copied().partition(|frame| frame.dark);
     let black = black(&dark, &lit);
     let means = |frames: &[&Frame]| frames.iter().map(|frame| frame.mean).collect::<Vec<_>>();
-    let pairs = |members: &[usize], of: &[&Frame], series: &mut Series| -> Result<Vec<PairTiles>, NoiseError> {
-        let mut found = vec![];
-        for two in members.chunks(2) {
-            progress.check().map_err(SeriesError::from)?;
-            progress.report("comparing pairs of frames", of[two[0]].shot, of.len());
-            let &[first, second] = two else {
-                series.leave_out(of[two[0]].shot, "there is no second frame of the same light and settings".into());
-                continue;
-            };
-            let (first, second) = (of[first], of[second]);
-            let read = |frame: &Frame| -> Result<Mosaic, SeriesError> {
-                Ok(sensor_levels::read(frame.path, &series.measured)?.mosaic)
-            };
-            let tiles = compare(&read(first)?, &read(second)?, black)
-                .map_err(|source| NoiseError::Size { path: second.path.to_owned(), source })?;
-            if tiles.tiles.is_empty() {
-                let why = "every part of it clips, at the top or at 0 DN, or it is too small";
-                series.leave_out(first.shot, why.into());
-                series.leave_out(second.shot, why.into());
-            } else {
-                found.push(tiles);
+    let pairs =
+        |members: &[usize], of: &[&Frame], series: &mut Series| -> Result<Vec<PairTiles>, NoiseError> {
+            let mut found = vec![];
+            for two in members.chunks(2) {
+                progress.check().map_err(SeriesError::from)?;
+                progress.report("comparing pairs of frames", of[two[0]].shot, of.len());
+                let &[first, second] = two else {
+                    series.leave_out(
+                        of[two[0]].shot,
+                        "there is no second frame of the same light and settings".into(),
+                    );
+                    continue;
+                };
+                let (first, second) = (of[first], of[second]);
+                let read = |frame: &Frame| -> Result<Mosaic, SeriesError> {
+                    Ok(sensor_levels::read(frame.path, &series.measured)?.mosaic)
+                };
+                let tiles = compare(&read(first)?, &read(second)?, black)
+                    .map_err(|source| NoiseError::Size { path: second.path.to_owned(), source })?;
+                if tiles.tiles.is_empty() {
+                    let why = "every part of it clips, at the top or at 0 DN, or it is too small";
+                    series.leave_out(first.shot, why.into());
+                    series.leave_out(second.shot, why.into());
+                } else {
+                    found.push(tiles);
+                }
             }
-        }
-        Ok(found)
-    };
+            Ok(found)
+        };
     let mut steps = vec![];
     for members in levels(&means(&lit)) {
         let first = lit[members[0]].mean;
