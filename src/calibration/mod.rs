@@ -4,7 +4,9 @@ pub mod colour;
 pub mod exposure;
 mod flash;
 pub mod flat;
+pub mod levels;
 mod linear;
+pub mod noise;
 mod record;
 mod steadiness;
 pub mod tiles;
@@ -13,5 +15,7 @@ pub use flash::{
     CardResidual, CardShot, Cell, FieldFactor, FlashCalibration, FlashFacts, FlashFindings, FlashFitError,
     Interval, Plane, Target, fit_flash,
 };
+pub use levels::LevelsFit;
+pub use noise::NoiseFit;
 pub use record::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 pub use steadiness::{Steadiness, SteadyError, SteadyShot, steadiness};

@@ -3,9 +3,9 @@
 use super::place::{Place, PlaceError, Shots, note};
 use crate::pair::order::Program;
 use crate::pair::{Expected, FlashRecord, FrameRecord, Plan, Reason, Window};
-use crate::photometry::saturation::SaturationTable;
+use crate::photometry::levels::MeasuredLevels;
 use crate::pipeline::flash::SHOT_RECORD;
-use crate::pipeline::saturation;
+use crate::pipeline::levels;
 use crate::session::{self, Session, SessionError, Stager, store};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -80,7 +80,7 @@ fn disk(path: &Path) -> impl FnOnce(std::io::Error) -> PlaceError + use<> {
 pub(super) struct CardPlace<'a> {
     session: &'a Session,
     distance_m: f64,
-    saturation: Arc<SaturationTable>,
+    levels: Arc<MeasuredLevels>,
     name: String,
     tag: u32,
     sees_light: bool,
@@ -96,8 +96,8 @@ impl<'a> CardPlace<'a> {
             .unwrap_or_default();
         let tag = u32::try_from(taken.len()).unwrap_or(u32::MAX - 1).saturating_add(1);
         let sees_light = taken.iter().filter_map(|shot| shot.flash.as_ref()).any(FlashRecord::saw_light);
-        let saturation = Arc::new(saturation::load(session)?);
-        Ok(Self { session, distance_m, saturation, name, tag, sees_light, stored: None })
+        let levels = Arc::new(levels::load(session)?);
+        Ok(Self { session, distance_m, levels, name, tag, sees_light, stored: None })
     }
 
     /// The shot, once stored.
@@ -168,8 +168,8 @@ impl Place for CardPlace<'_> {
         None
     }
 
-    fn saturation(&self) -> Arc<SaturationTable> {
-        self.saturation.clone()
+    fn levels(&self) -> Arc<MeasuredLevels> {
+        self.levels.clone()
     }
 
     fn expected<'b>(&'b self, _off: &'b str, _on: &'b str, _energy: Option<f64>) -> Expected<'b> {

@@ -6,7 +6,7 @@ use crate::codec::raw::RawError;
 use crate::pair::energy::RepeatError;
 use crate::pair::finding::FindingError;
 use crate::photometry::{IsolateError, NoNoise};
-use crate::pipeline::saturation::SaturationError;
+use crate::pipeline::calibrate::RecordError;
 use crate::pipeline::stops::EarlierError;
 use crate::progress::Cancelled;
 use crate::rig::{CameraError, FlashError};
@@ -89,9 +89,9 @@ pub enum CaptureError {
     /// The figures of a series say nothing.
     #[error(transparent)]
     Series(#[from] RepeatError),
-    /// The session's saturation table.
+    /// The session's measured levels.
     #[error(transparent)]
-    Saturation(SaturationError),
+    Levels(RecordError),
     /// The system gave no thread.
     #[error("the frame could not be checked: no thread to be had ({0}); close other programs")]
     NoThread(std::io::Error),
@@ -127,7 +127,7 @@ impl CaptureError {
             CaptureError::SeriesNoise(_) => "series_noise_unmeasured",
             CaptureError::SeriesFrames(_) => "series_frames_differ",
             CaptureError::Series(_) => "series_says_nothing",
-            CaptureError::Saturation(_) => "saturation_table_unreadable",
+            CaptureError::Levels(_) => "levels_unreadable",
             CaptureError::NoThread(_) => "no_thread",
             CaptureError::Place(PlaceError::Session(SessionError::NoRoom { .. })) => "disk_full",
             CaptureError::Place(PlaceError::Session(SessionError::NoSuchPair { .. })) => "pair_not_found",

@@ -10,8 +10,8 @@ use super::hands::{Hands, exposure_of};
 use crate::pair::finding::{Finding, Found, Keep, MOST_SHOTS, Next, Wish};
 use crate::pair::{Exposure, Settings};
 use crate::photometry::Mosaic;
-use crate::photometry::saturation::SaturationTable;
-use crate::pipeline::saturation;
+use crate::photometry::levels::MeasuredLevels;
+use crate::pipeline::levels;
 use crate::progress::Progress;
 use crate::session::{Event, Session};
 use serde::{Deserialize, Serialize};
@@ -48,7 +48,7 @@ impl Engine {
         wish: ExposureWish,
         progress: &Progress,
     ) -> Result<Found, CaptureError> {
-        let measured = saturation::load(session).map_err(CaptureError::Saturation)?;
+        let measured = levels::load(session).map_err(CaptureError::Levels)?;
         let wish = Wish {
             target_share: wish.target_share,
             separate_off: wish.separate_off,
@@ -72,7 +72,7 @@ impl Engine {
         &self,
         hands: &mut Hands,
         mut wish: Wish,
-        measured: &SaturationTable,
+        measured: &MeasuredLevels,
     ) -> Result<Found, CaptureError> {
         if let Some(x_sync) = hands.lock_report()?.x_sync {
             wish.x_sync = x_sync;
@@ -107,7 +107,7 @@ impl Engine {
         told: &mut Settings,
         exposure: &Exposure,
         flash: bool,
-        measured: &SaturationTable,
+        measured: &MeasuredLevels,
     ) -> Result<Mosaic, CaptureError> {
         let mut attempt = 1;
         loop {
@@ -129,7 +129,7 @@ impl Hands<'_> {
         told: &mut Settings,
         exposure: &Exposure,
         flash: bool,
-        measured: &SaturationTable,
+        measured: &MeasuredLevels,
     ) -> Result<Mosaic, CaptureError> {
         self.turn_dials(told, exposure)?;
         *told = Settings {
@@ -145,7 +145,7 @@ impl Hands<'_> {
             return Err(CaptureError::TestShotMisfired { expected: flash });
         }
         let photo =
-            saturation::decode(&shot.raw.bytes, &shot.raw.name, measured).map_err(CaptureError::TestShot)?;
+            levels::decode(&shot.raw.bytes, &shot.raw.name, measured).map_err(CaptureError::TestShot)?;
         Ok(photo.mosaic)
     }
 

@@ -3,8 +3,9 @@
 use super::wish::PairWish;
 use crate::pair::order::{OrderError, Program};
 use crate::pair::{Drift, Expected, FlashRecord, PairRecord, Plan, Reason, Settings, Stop, Window};
-use crate::photometry::saturation::SaturationTable;
-use crate::pipeline::saturation::{self, SaturationError};
+use crate::photometry::levels::MeasuredLevels;
+use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::levels;
 use crate::pipeline::stops::{Delivery, Earlier};
 use crate::rig::Shot;
 use crate::session::{
@@ -61,9 +62,9 @@ pub enum PlaceError {
         /// The system's own word.
         source: std::io::Error,
     },
-    /// The session's saturation table.
+    /// The session's measured levels.
     #[error(transparent)]
-    Saturation(#[from] SaturationError),
+    Levels(#[from] RecordError),
     /// The frames that were asked for.
     #[error(transparent)]
     Order(#[from] OrderError),
@@ -88,8 +89,8 @@ pub(super) trait Place {
     fn sees_light(&self) -> bool;
     /// Writes raws to the disk ahead, where the place takes them so.
     fn stager(&self) -> Option<Stager>;
-    /// Saturation as it was measured for the session.
-    fn saturation(&self) -> Arc<SaturationTable>;
+    /// Levels as they were measured for the session.
+    fn levels(&self) -> Arc<MeasuredLevels>;
     /// What is known beforehand of a pair whose files have the digests `off` and `on` and whose pulse measured
     /// `energy` counts.
     fn expected<'a>(&'a self, off: &'a str, on: &'a str, energy: Option<f64>) -> Expected<'a>;
@@ -105,7 +106,7 @@ pub(super) trait Place {
 pub(super) struct PairPlace<'a> {
     session: &'a Session,
     earlier: &'a mut Earlier,
-    saturation: Arc<SaturationTable>,
+    levels: Arc<MeasuredLevels>,
     number: u32,
     program: Program,
     again: Option<u32>,
@@ -120,9 +121,9 @@ impl<'a> PairPlace<'a> {
         earlier: &'a mut Earlier,
     ) -> Result<Self, PlaceError> {
         let program = wish.program(session)?;
-        let saturation = Arc::new(saturation::load(session)?);
+        let levels = Arc::new(levels::load(session)?);
         let number = wish.again.map_or_else(|| session.next_pair_number(), Ok)?;
-        Ok(Self { session, earlier, saturation, number, program, again: wish.again, stored: None })
+        Ok(Self { session, earlier, levels, number, program, again: wish.again, stored: None })
     }
 
     /// The pair, once stored.
@@ -169,8 +170,8 @@ impl Place for PairPlace<'_> {
         Some(self.session.stager())
     }
 
-    fn saturation(&self) -> Arc<SaturationTable> {
-        self.saturation.clone()
+    fn levels(&self) -> Arc<MeasuredLevels> {
+        self.levels.clone()
     }
 
     fn expected<'b>(&'b self, off: &'b str, on: &'b str, energy: Option<f64>) -> Expected<'b> {

@@ -12,10 +12,11 @@ use super::events::Topic;
 use super::hands::Hands;
 use crate::pair::energy::{FEWEST_SHOTS, RepeatError, RepeatShot, Repeatability, repeatability};
 use crate::pair::{FlashRecord, Reason, ReasonCode, Settings, Window, proof};
-use crate::photometry::saturation::SaturationTable;
+use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{KnownMosaic, Mosaic, NoiseModel, isolate};
+use crate::pipeline::calibrate::noise;
 use crate::pipeline::energy::repeatability_file;
-use crate::pipeline::saturation;
+use crate::pipeline::levels;
 use crate::progress::Progress;
 use crate::raster::Image;
 use crate::rig;
@@ -68,7 +69,8 @@ struct Shot {
 
 /// What the shots of a series share.
 struct Series<'a> {
-    measured: &'a SaturationTable,
+    session: &'a Session,
+    measured: &'a MeasuredLevels,
     window: Window,
     left_out: u32,
     /// What the first shot tells.
@@ -100,10 +102,10 @@ impl Engine {
         if shots < FEWEST_SHOTS {
             return Err(RepeatError::TooFew(shots).into());
         }
-        let measured = saturation::load(session).map_err(CaptureError::Saturation)?;
+        let measured = levels::load(session).map_err(CaptureError::Levels)?;
         let window = session.manifest().region.unwrap_or(MIDDLE);
         let mut series =
-            Series { measured: &measured, window, left_out: 0, first: None, files: HashSet::new() };
+            Series { session, measured: &measured, window, left_out: 0, first: None, files: HashSet::new() };
         let mut bench = self.take_bench();
         let mut hands = Hands { bench: &mut bench, prompter: self.prompter(), progress };
         let taken = self.take_series(&mut hands, &mut series, shots);
@@ -228,7 +230,7 @@ impl Series<'_> {
             let words = "The camera gave a file of an earlier shot again; restart the camera if it goes on.";
             return Err(refused(ReasonCode::Repeated, words.into()));
         }
-        let photo = saturation::decode(&shot.raw.bytes, &shot.raw.name, self.measured).map_err(|error| {
+        let photo = levels::decode(&shot.raw.bytes, &shot.raw.name, self.measured).map_err(|error| {
             refused(ReasonCode::Unreadable, format!("The frame cannot be read: {error}."))
         })?;
         Ok((part(&photo.mosaic, self.window), photo.settings))
@@ -241,7 +243,10 @@ impl Series<'_> {
             Some(first) => first,
             empty => empty.insert(First {
                 settings: shot.settings[1].clone(),
-                noise: NoiseModel::measure(&[shot.off.clone(), shot.on.clone()])?,
+                noise: match noise::model(self.session, &shot.settings[1]).map_err(CaptureError::Levels)? {
+                    Some(measured) => measured,
+                    None => NoiseModel::measure(&[shot.off.clone(), shot.on.clone()])?,
+                },
                 sites: safe_sites(&shot.on),
             }),
         };

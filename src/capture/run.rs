@@ -216,7 +216,7 @@ impl<'a> Run<'a> {
             // However many there are, the photographs of a few are in memory at a time.
             self.compare_dark()?;
         }
-        let (measured, stager) = (self.place.saturation(), self.place.stager());
+        let (measured, stager) = (self.place.levels(), self.place.stager());
         self.frame(slot)?.begin(measured, stager)
     }
 

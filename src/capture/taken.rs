@@ -5,8 +5,8 @@ use super::error::CaptureError;
 use crate::codec::raw::{Photo, RawError};
 use crate::pair::Settings;
 use crate::pair::order::Slot;
-use crate::photometry::saturation::SaturationTable;
-use crate::pipeline::saturation;
+use crate::photometry::levels::MeasuredLevels;
+use crate::pipeline::levels;
 use crate::rig::Shot;
 use crate::session::{SessionError, Staged, Stager, store};
 use std::sync::Arc;
@@ -36,12 +36,12 @@ impl Taken {
     /// Sets the decoder to work, and whoever writes the raw to the disk, if it is to go there ahead of the commit.
     pub(super) fn begin(
         &mut self,
-        measured: Arc<SaturationTable>,
+        measured: Arc<MeasuredLevels>,
         stager: Option<Stager>,
     ) -> Result<(), CaptureError> {
         let shot = self.shot.clone();
         self.decoding = Some(spawn("frame check", move || {
-            let photo = saturation::decode(&shot.raw.bytes, &shot.raw.name, &measured);
+            let photo = levels::decode(&shot.raw.bytes, &shot.raw.name, &measured);
             (photo, store::digest(&shot.raw.bytes))
         })?);
         if let Some(stager) = stager {

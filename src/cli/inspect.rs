@@ -5,8 +5,8 @@ use crate::codec::raw::Photo;
 use crate::pair::Settings;
 use crate::photometry::LevelSource;
 use crate::photometry::inspect::{self, ChannelFigures, Inspection, Region};
-use crate::photometry::saturation::SaturationTable;
-use crate::pipeline::saturation;
+use crate::photometry::levels::MeasuredLevels;
+use crate::pipeline::levels;
 use crate::session::Session;
 use clap::Args;
 use serde::Serialize;
@@ -22,7 +22,7 @@ pub(super) struct Inspect {
     /// Region to measure, X,Y,W,H in pixels of the active area from its top left corner; all of it if absent.
     #[arg(long, value_name = "X,Y,W,H")]
     roi: Option<Roi>,
-    /// Session whose own saturation table is used, as measured by `unlit calibrate saturation`.
+    /// Session whose own levels are used, as measured by `unlit calibrate levels`.
     #[arg(long)]
     session: Option<PathBuf>,
     /// Everything as JSON.
@@ -60,11 +60,11 @@ pub(super) fn run(arguments: &Inspect) -> CliResult {
     let measured = match &arguments.session {
         Some(path) => {
             let session = Session::open_shared(path).map_err(CliError::new)?;
-            saturation::load(&session).map_err(CliError::new)?
+            levels::load(&session).map_err(CliError::new)?
         }
-        None => SaturationTable::default(),
+        None => MeasuredLevels::default(),
     };
-    let photo = saturation::read(&arguments.file, &measured).map_err(CliError::new)?;
+    let photo = levels::read(&arguments.file, &measured).map_err(CliError::new)?;
     let inspection =
         inspect::inspect(&photo.mosaic, arguments.roi.map(|roi| roi.0)).map_err(CliError::new)?;
     if arguments.json {
@@ -190,7 +190,7 @@ fn source(source: LevelSource) -> &'static str {
         LevelSource::BodyTable => "published measurements of this body",
         LevelSource::DecoderTable => "the decoder's table (a fallback)",
         LevelSource::DecoderMargin => {
-            "the decoder's table less 15 % (a fallback: measure it with `unlit calibrate saturation`)"
+            "the decoder's table less 15 % (a fallback: measure it with `unlit calibrate levels`)"
         }
     }
 }

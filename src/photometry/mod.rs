@@ -5,6 +5,7 @@ mod demosaic;
 mod gain;
 pub mod inspect;
 mod isolate;
+pub mod levels;
 mod mosaic;
 mod noise;
 pub mod saturation;

@@ -1,21 +1,16 @@
 //! Where each body clips: a table per body, ISO and filter position, because decoders' own tables are often
 //! wrong and files seldom tell.
 //!
-//! Takes a frame with its settings, gives it a saturation from the best source there is: the session's own table
-//! (measured from blown frames), then the file's tag, then the built-in table (published measurements, in
-//! `saturation.json`), then the decoder's value less a margin. [`measure`] makes an entry out of one
-//! deliberately blown frame: clipped sites pile up in one spike of the histogram.
+//! [`SaturationTable::built_in`] has published measurements (`saturation.json`); [`super::levels`] says when they
+//! count. [`measure`] finds saturation in a deliberately blown frame: clipped sites pile up in one spike of the
+//! histogram.
 
-use super::{LevelSource, Mosaic};
+use super::Mosaic;
 use crate::units::Iso;
 use serde::{Deserialize, Serialize};
 
-/// Share of the range from black by which a decoder's saturation is lowered. Measured bodies clip up to 12 % below
-/// the decoder's table (Canon 6D at third-stop ISOs: 13225 against 15000); a limit too low costs highlights, one
-/// too high takes clipped sites for measurements.
-const DECODER_MARGIN: f32 = 0.15;
 /// DN below the spike's foot from which a site counts as clipped: read noise behind the clipping amplifier.
-const BELOW_SPIKE: u16 = 2;
+const BELOW_SPIKE: usize = 2;
 /// Least share of a position's sites that must lie in the spike.
 const LEAST_SPIKE: f64 = 0.01;
 /// Half width of the spike, DN; the amplifier's noise after clipping and column offsets are some DN.
@@ -39,7 +34,7 @@ pub struct Entry {
     pub origin: String,
 }
 
-/// Saturation of bodies, for a session or built in.
+/// Saturation of bodies.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SaturationTable {
     /// Entries; the first that fits counts.
@@ -64,45 +59,15 @@ impl SaturationTable {
             |entry: &&Entry| iso.is_some_and(|iso| entry.isos.iter().any(|e| (e / iso.0 - 1.0).abs() < 0.01));
         of_body().find(at).or_else(|| of_body().find(|entry| entry.isos.is_empty()))
     }
-
-    /// Adds an entry in place of one of the same body and ISOs.
-    pub fn replace(&mut self, entry: Entry) {
-        self.entries.retain(|old| !(same_model(&old.model, &entry.model) && old.isos == entry.isos));
-        self.entries.push(entry);
-    }
 }
 
 /// Models are the same with or without the maker before them ("Canon EOS 5DS", "EOS 5DS").
-fn same_model(a: &str, b: &str) -> bool {
+pub(super) fn same_model(a: &str, b: &str) -> bool {
     let plain = |name: &str| {
         let name = name.trim().to_lowercase();
         name.strip_prefix("canon ").map_or(name.clone(), str::to_owned)
     };
     plain(a) == plain(b)
-}
-
-/// Gives the frame the best saturation known. `measured` is the session's own table.
-pub fn settle(mosaic: &mut Mosaic, model: Option<&str>, iso: Option<Iso>, measured: &SaturationTable) {
-    let find = |table: &SaturationTable| model.and_then(|m| table.find(m, iso)).map(|e| e.saturation);
-    let levels = &mut mosaic.levels;
-    let sane = |saturation: &[[f32; 2]; 2]| {
-        let pairs = saturation.concat().into_iter().zip(levels.black.concat());
-        pairs.into_iter().all(|(saturation, black)| saturation > black + 1.0)
-    };
-    if let Some(saturation) = find(measured).filter(sane) {
-        (levels.saturation, levels.saturation_source) = (saturation, LevelSource::Measured);
-    } else if levels.saturation_source == LevelSource::DecoderTable {
-        if let Some(saturation) = find(SaturationTable::built_in()).filter(sane) {
-            (levels.saturation, levels.saturation_source) = (saturation, LevelSource::BodyTable);
-        } else {
-            for (saturation, black) in
-                levels.saturation.as_flattened_mut().iter_mut().zip(levels.black.concat())
-            {
-                *saturation -= DECODER_MARGIN * (*saturation - black);
-            }
-            levels.saturation_source = LevelSource::DecoderMargin;
-        }
-    }
 }
 
 /// A frame from which no saturation can be measured.
@@ -134,20 +99,28 @@ pub enum NotBlown {
     },
 }
 
-/// Saturation by filter position of a deliberately blown frame: the foot of the histogram's last spike.
-pub fn measure(mosaic: &Mosaic) -> Result<[[f32; 2]; 2], NotBlown> {
-    let mut saturation = [[0.0; 2]; 2];
-    for (row, column) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+/// Where the sites of one filter position pile up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spike {
+    /// The value that most clipped sites have, DN: the saturation.
+    pub level: f32,
+    /// DN from which a site counts as clipped: the spike's foot less its noise.
+    pub clipped_from: f32,
+}
+
+/// Saturation by filter position of a deliberately blown frame, or why a position does not tell it: a lamp seldom blows
+/// all colours at once.
+pub fn measure(mosaic: &Mosaic) -> [[Result<Spike, NotBlown>; 2]; 2] {
+    let at = |row: usize, column: usize| {
         let colour = ["red", "green", "blue"][usize::from(mosaic.cfa.0[row][column]).min(2)];
-        let counts = histogram(mosaic, row, column);
-        let level = spike(&counts, colour)?;
+        let spike = spike(&histogram(mosaic, row, column), colour)?;
         // A 12-bit body's saturation is at 4095 at most, a 14-bit one's at 16383.
-        if level - mosaic.levels.black[row][column] < LEAST_LEVEL * 4096.0 {
-            return Err(NotBlown::Dark { colour, maximum: level as u16 });
+        if spike.level - mosaic.levels.black[row][column] < LEAST_LEVEL * 4096.0 {
+            return Err(NotBlown::Dark { colour, maximum: spike.level as u16 });
         }
-        saturation[row][column] = level;
-    }
-    Ok(saturation)
+        Ok(spike)
+    };
+    [0, 1].map(|row| [0, 1].map(|column| at(row, column)))
 }
 
 fn histogram(mosaic: &Mosaic, row: usize, column: usize) -> Vec<u64> {
@@ -161,9 +134,8 @@ fn histogram(mosaic: &Mosaic, row: usize, column: usize) -> Vec<u64> {
     counts
 }
 
-/// First clipped value: the spike is the fullest bin near the top; its foot is where it falls below a thousandth
-/// of its height.
-fn spike(counts: &[u64], colour: &'static str) -> Result<f32, NotBlown> {
+/// The spike is the fullest bin near the top; its foot is where it falls below a thousandth of its height.
+fn spike(counts: &[u64], colour: &'static str) -> Result<Spike, NotBlown> {
     let sites: u64 = counts.iter().sum();
     let maximum = counts.iter().rposition(|&n| n > 0).unwrap_or(0);
     // Hot sites may lie above the spike: up to a ten-thousandth of all.
@@ -190,14 +162,15 @@ fn spike(counts: &[u64], colour: &'static str) -> Result<f32, NotBlown> {
         let maximum = u16::try_from(maximum).unwrap_or(u16::MAX);
         return Err(NotBlown::NoSpike { colour, maximum, share: 100.0 * share, needed: 100.0 * LEAST_SPIKE });
     }
-    Ok((foot as u16).saturating_sub(BELOW_SPIKE).into())
+    Ok(Spike { level: peak as f32, clipped_from: foot.saturating_sub(BELOW_SPIKE) as f32 })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::photometry::{Cfa, Levels};
+    use crate::photometry::{Cfa, LevelSource, Levels};
     use crate::raster::Image;
+    use crate::units::Iso;
     use rand::SeedableRng;
     use rand_distr::{Distribution, Normal};
 
@@ -239,43 +212,26 @@ mod tests {
     }
 
     #[test]
-    fn the_sessions_own_table_beats_the_file_and_the_file_beats_the_built_in_table() {
-        let own = Entry {
-            model: "Canon EOS 5DS".into(),
-            isos: vec![100.0],
-            saturation: [[14700.0; 2]; 2],
-            origin: "blown.cr2".into(),
-        };
-        let mut table = SaturationTable::default();
-        table.replace(own);
-        let settled = |source, model, iso, table: &SaturationTable| {
-            let mut mosaic = frame(source);
-            settle(&mut mosaic, Some(model), Some(Iso(iso)), table);
-            (mosaic.levels.saturation[0][0], mosaic.levels.saturation_source)
-        };
-        let none = SaturationTable::default();
-        let (decoder, file) = (LevelSource::DecoderTable, LevelSource::FileTag);
-        assert_eq!(settled(file, "Canon EOS 5DS", 100.0, &table), (14700.0, LevelSource::Measured));
-        assert_eq!(settled(file, "Canon EOS 5DS", 200.0, &table), (14466.0, file));
-        assert_eq!(settled(decoder, "Canon EOS 5DS", 100.0, &none), (14733.0, LevelSource::BodyTable));
-        let (margin, source) = settled(decoder, "Canon EOS 5DS", 200.0, &none);
-        assert_eq!(source, LevelSource::DecoderMargin);
-        assert!((margin - (14466.0 - 0.15 * 12418.0)).abs() < 0.5);
-        // Settled once more, nothing changes.
-        let mut mosaic = frame(decoder);
-        settle(&mut mosaic, None, None, &none);
-        let once = mosaic.clone();
-        settle(&mut mosaic, None, None, &none);
-        assert_eq!(mosaic, once);
+    fn a_blown_frame_tells_the_saturation_of_each_position() {
+        let clips = [[14733.0, 14600.0], [14610.0, 14733.0]];
+        for (found, clip) in measure(&ramp(0.3, clips)).concat().into_iter().zip(clips.concat()) {
+            let (found, clip) = (found.unwrap(), clip as f32);
+            assert!((found.level - clip).abs() <= 1.0, "{found:?} for {clip}");
+            assert!((clip - 9.0..=clip).contains(&found.clipped_from), "{found:?} for {clip}");
+        }
     }
 
     #[test]
-    fn a_blown_frame_tells_the_saturation_of_each_position() {
-        let clips = [[14733.0, 14600.0], [14610.0, 14733.0]];
-        let found = measure(&ramp(0.3, clips)).unwrap();
-        for (found, clip) in found.concat().into_iter().zip(clips.concat()) {
-            assert!((clip as f32 - 9.0..=clip as f32).contains(&found), "{found} for {clip}");
-        }
+    fn a_colour_that_never_clips_does_not_hide_the_others() {
+        let red_never = [[60_000.0, 14_600.0], [14_610.0, 14_733.0]];
+        let mut frame = ramp(0.3, red_never);
+        let red = ramp(0.0, [[14_733.0; 2]; 2]);
+        frame.dn = Image::from_fn(600, 200, |x, y| {
+            *if x & 1 == 0 && y & 1 == 0 { &red } else { &frame }.dn.at(x, y)
+        });
+        let [[red, green], [_, blue]] = measure(&frame);
+        assert!(matches!(red, Err(NotBlown::NoSpike { colour: "red", .. })), "{red:?}");
+        assert!(green.is_ok() && blue.is_ok());
     }
 
     #[test]
@@ -285,9 +241,10 @@ mod tests {
             dn: ramp(0.3, [[60_000.0; 2]; 2]).dn.map(|v| (*v).min(20_000) / 2),
             ..ramp(0.0, [[1e4; 2]; 2])
         };
-        assert!(measure(&below).is_ok(), "cut at 10000, it is a spike");
+        let first = |frame: &Mosaic| measure(frame).concat().remove(0);
+        assert!(first(&below).is_ok(), "cut at 10000, it is a spike");
         let ramp = ramp(0.0, [[14_733.0; 2]; 2]);
-        assert!(matches!(measure(&ramp), Err(NotBlown::NoSpike { .. })), "{:?}", measure(&ramp));
+        assert!(matches!(first(&ramp), Err(NotBlown::NoSpike { .. })), "{:?}", first(&ramp));
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(3);
         let mut grey = |mean: f64, sd: f64| {
             let dn = Image::from_fn(600, 200, |_, _| {
@@ -295,8 +252,8 @@ mod tests {
             });
             Mosaic { dn, ..frame(LevelSource::DecoderTable) }
         };
-        let error = measure(&grey(9000.0, 60.0)).unwrap_err();
+        let error = first(&grey(9000.0, 60.0)).unwrap_err();
         assert!(error.to_string().contains("not blown"), "{error}");
-        assert!(measure(&grey(2048.0, 2.0)).is_err());
+        assert!(first(&grey(2048.0, 2.0)).is_err());
     }
 }

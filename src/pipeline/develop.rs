@@ -4,13 +4,13 @@ use crate::calibration::{FlashCalibration, OtherRig};
 use crate::codec::raw::RawError;
 use crate::pair::{PairRecord, Settings};
 use crate::photometry::apex::{ExposureScale, Nominal};
-use crate::photometry::saturation::SaturationTable;
+use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{
     FlashGain, IsolateError, Known, KnownMosaic, NoiseModel, RoomLight, demosaic, isolate, isolate_mean,
 };
-use crate::pipeline::calibrate::SeriesError;
 use crate::pipeline::calibrate::exposure::SessionScale;
-use crate::pipeline::saturation::{self, SaturationError};
+use crate::pipeline::calibrate::{self, RecordError};
+use crate::pipeline::levels;
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
 use crate::units::{FNumber, Iso};
@@ -21,9 +21,9 @@ pub enum DevelopError {
     /// A frame cannot be decoded.
     #[error(transparent)]
     Raw(#[from] RawError),
-    /// The session's saturation table cannot be read.
+    /// A calibration of the session cannot be read.
     #[error(transparent)]
-    Saturation(#[from] SaturationError),
+    Record(#[from] RecordError),
     /// The frames do not fit together.
     #[error("pair {name}: {source}")]
     Isolate {
@@ -52,9 +52,6 @@ pub enum DevelopError {
         /// Which setting.
         setting: &'static str,
     },
-    /// The session's exposure table cannot be read.
-    #[error(transparent)]
-    Exposure(#[from] SeriesError),
     /// The session's exposure table is another body's.
     #[error(
         "pair {name} needs the exposure table, since settings differ: {source}; run `unlit calibrate exposure` with the body that took the photos, or remove calibration/exposure.json"
@@ -93,23 +90,25 @@ pub fn known_light(
 
 /// The flash's own light of a pair on sensor sites, at whatever energy the pulse had. Of several frames without flash
 /// the mean is taken off: as [`order`](crate::pair::order) has them, every slope of the room's light cancels in it.
+/// Variances are those of the session's noise calibration, where it is of this body and ISO, else the flash calibration's.
 pub fn known_sites(
     session: &Session,
     pair: &PairRecord,
     calibration: &FlashCalibration,
 ) -> Result<KnownMosaic, DevelopError> {
-    isolated_sites(session, pair, &saturation::load(session)?, &calibration.noise)
+    let noise = calibrate::noise::model(session, &pair.on.settings)?.unwrap_or(calibration.noise);
+    isolated_sites(session, pair, &levels::load(session)?, &noise)
 }
 
 /// The same with the sensor's saturation and noise as given.
 pub(super) fn isolated_sites(
     session: &Session,
     pair: &PairRecord,
-    measured: &SaturationTable,
+    measured: &MeasuredLevels,
     noise: &NoiseModel,
 ) -> Result<KnownMosaic, DevelopError> {
     let folder = session.pair_dir(pair);
-    let read = |file: &str| saturation::read(&folder.join(file), measured);
+    let read = |file: &str| levels::read(&folder.join(file), measured);
     let (on, off) = rayon::join(|| read(&pair.on.file), || read(&pair.off.file));
     let table = SessionScale::load(session)?
         .between(&pair.on.settings, &pair.off.settings)

@@ -11,7 +11,8 @@ use crate::export::chart::{self, Chart};
 use crate::light::{Ring, RingError};
 use crate::pair::{FlashRecord, FrameRecord, PairRecord, Settings};
 use crate::photometry::{IsolateError, NoNoise, NoiseGauge};
-use crate::pipeline::saturation::{self, SaturationError};
+use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::levels;
 use crate::pipeline::{develop::exposure_ratio, scene};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Distortion, Intrinsics};
@@ -72,9 +73,9 @@ pub enum FlashError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// The session's saturation table cannot be read.
+    /// A calibration of the session cannot be read.
     #[error(transparent)]
-    Saturation(#[from] SaturationError),
+    Record(#[from] RecordError),
     /// The session refused.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -101,7 +102,7 @@ impl From<SeriesError> for FlashError {
         match error {
             SeriesError::Cancelled(cancelled) => Self::Cancelled(cancelled),
             SeriesError::Raw(raw) => Self::Raw(raw),
-            SeriesError::Saturation(saturation) => Self::Saturation(saturation),
+            SeriesError::Record(record) => Self::Record(record),
             SeriesError::Session(session) => Self::Session(session),
             other => Self::Series(other),
         }
@@ -148,7 +149,7 @@ pub fn calibrate(
     progress: &Progress,
 ) -> Result<Record<FlashCalibration>, FlashError> {
     let ring = Ring::new(facts.ring_radii[0], facts.ring_radii[1])?;
-    let measured = saturation::load(session)?;
+    let measured = levels::load(session)?;
     let mut series = Series::new(session, KIND)?;
     let (mut cards, mut numbers, mut first) = (vec![], vec![], None::<Settings>);
     let (mut gauge, mut rooms) = (NoiseGauge::default(), HashSet::new());
@@ -160,7 +161,7 @@ pub fn calibrate(
         same_settings(first.get_or_insert_with(|| on.settings.clone()), &on.settings, &shot.on)?;
         let off = match &shot.off {
             // Several shots may share the frame of the room.
-            Some(off) if !rooms.insert(off.clone()) => Some(saturation::read(off, &measured)?),
+            Some(off) if !rooms.insert(off.clone()) => Some(levels::read(off, &measured)?),
             Some(off) => Some(series.read(off)?),
             None => None,
         };
@@ -183,7 +184,10 @@ pub fn calibrate(
     let settings = first.ok_or(FlashError::NoShots)?;
     let size = cards.first().map(|c| c.size).ok_or(FlashError::NoShots)?;
     progress.report("fitting the flash", 0, 1);
-    let noise = gauge.fit()?;
+    let noise = match calibrate::noise::model(session, &settings)? {
+        Some(measured) => measured,
+        None => gauge.fit()?,
+    };
     let intrinsics = lens(session, size, facts.focal_px)?;
     let known = FlashFacts {
         intrinsics: &intrinsics,

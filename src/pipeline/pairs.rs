@@ -9,8 +9,9 @@ use crate::codec::{exif::settings as settings_of, raw};
 use crate::pair::order::Slot;
 use crate::pair::{self, Drift, Expected, FrameView, Judgement, Limits, PairRecord, Plan, Reason, Settings};
 use crate::photometry::inspect::Region;
-use crate::photometry::saturation::SaturationTable;
-use crate::pipeline::saturation::{self, SaturationError};
+use crate::photometry::levels::MeasuredLevels;
+use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::levels;
 use crate::pipeline::stops::{Delivery, Earlier, EarlierError};
 use crate::progress::{Cancelled, Progress};
 use crate::session::{Commit, Manifest, More, NewFrame, NewPair, Prepared, Session, SessionError, store};
@@ -77,9 +78,9 @@ pub enum ImportError {
         /// What is wrong.
         source: serde_json::Error,
     },
-    /// The session's saturation table cannot be read.
+    /// The session's measured levels cannot be read.
     #[error(transparent)]
-    Saturation(#[from] SaturationError),
+    Levels(#[from] RecordError),
     /// The session refused.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -127,7 +128,7 @@ pub fn import(
     if matched.is_empty() {
         return Err(ImportError::NothingMatches { off: off_dir.to_owned(), on: on_dir.to_owned() });
     }
-    let measured = saturation::load(session)?;
+    let measured = levels::load(session)?;
     let mut earlier = Earlier::load(session, progress)?;
     let total = matched.len();
     for (done, (stem, off, on)) in matched.into_iter().enumerate() {
@@ -143,14 +144,14 @@ pub fn import(
 
 fn import_pair(
     session: &Session,
-    (measured, earlier): (&SaturationTable, &mut Earlier),
+    (measured, earlier): (&MeasuredLevels, &mut Earlier),
     stem: &str,
     [off, on]: [&Path; 2],
     limits: &Limits,
 ) -> Result<Imported, ImportError> {
     let (off_bytes, on_bytes) = (std::fs::read(off).map_err(io(off))?, std::fs::read(on).map_err(io(on))?);
     let read = |bytes: &[u8], path: &Path| {
-        (saturation::decode(bytes, &path.display().to_string(), measured), store::digest(bytes))
+        (levels::decode(bytes, &path.display().to_string(), measured), store::digest(bytes))
     };
     let ((off_photo, off_digest), (on_photo, on_digest)) =
         rayon::join(|| read(&off_bytes, off), || read(&on_bytes, on));

@@ -4,9 +4,10 @@
 //! Photos are as the lens drew them (not undistorted) and as the sensor lay (not turned): full size, sRGB, all brightened
 //! by one factor.
 
+use super::calibrate::RecordError;
 use super::develop::{DevelopError, isolated_sites};
 use super::export::refuse_inside;
-use super::saturation::{self, SaturationError};
+use super::levels;
 use super::scene::{self, SceneError};
 use crate::codec::asset::AssetError;
 use crate::codec::jpeg::{self, JpegError};
@@ -14,7 +15,7 @@ use crate::codec::raw::colour as raw_colour;
 use crate::codec::tiff16::{self, Told};
 use crate::export::colour::LINEAR_SRGB;
 use crate::pair::{PairRecord, Settings, Verdict};
-use crate::photometry::saturation::SaturationTable;
+use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{Mosaic, NoiseModel, demosaic, isolate_dark};
 use crate::progress::{Cancelled, Progress};
 use crate::raster::{Rgb, srgb};
@@ -97,9 +98,9 @@ pub enum PhotosError {
     /// Scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// Saturation table.
+    /// The measured levels.
     #[error(transparent)]
-    Saturation(#[from] SaturationError),
+    Levels(#[from] RecordError),
     /// A pair cannot be developed.
     #[error(transparent)]
     Develop(#[from] DevelopError),
@@ -215,7 +216,7 @@ pub fn export(
 /// Develops the frames of one session alike.
 struct Developer<'a> {
     session: &'a Session,
-    measured: SaturationTable,
+    measured: MeasuredLevels,
     light: Light,
     /// What a white surface reads in each channel.
     white: [f64; 3],
@@ -237,14 +238,14 @@ impl<'a> Developer<'a> {
         });
         let balanced = |known| LINEAR_SRGB.from_camera(known) * DMat3::from_diagonal(white.recip());
         let colour = known.as_ref().map(balanced).filter(|matrix| matrix.is_finite());
-        Ok(Self { session, measured: saturation::load(session)?, light, white: white.to_array(), colour })
+        Ok(Self { session, measured: levels::load(session)?, light, white: white.to_array(), colour })
     }
 
     /// The photo, linear, in DN above black; what clipped is infinitely bright.
     fn develop(&self, pair: &PairRecord) -> Result<Rgb, PhotosError> {
         let folder = self.session.pair_dir(pair);
         let read = |file: &str| -> Result<Mosaic, DevelopError> {
-            Ok(saturation::read(&folder.join(file), &self.measured)?.mosaic)
+            Ok(levels::read(&folder.join(file), &self.measured)?.mosaic)
         };
         // Nobody asks how sure a photo for photogrammetry is.
         let noise = NoiseModel { gain: 0.0, floor: 0.0 };

@@ -312,6 +312,13 @@ impl Inputs {
         for path in [flash::file(session), session.scene_dir().join("scene.json")] {
             parts.push(std::fs::read(&path).map_err(io(&path))?);
         }
+        // Frames are read with these, where the session has them.
+        for name in ["levels.json", "noise.json"] {
+            match std::fs::read(session.calibration_dir().join(name)) {
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+                read => parts.push(read.map_err(io(&session.calibration_dir().join(name)))?),
+            }
+        }
         for (pair, _) in &matched {
             parts.push(originals(pair).into_bytes());
         }

@@ -11,6 +11,8 @@ mod calibrate_exposure;
 mod calibrate_flat;
 mod calibrate_colour;
 mod calibrate_flash;
+mod calibrate_levels;
+mod calibrate_noise;
 mod camera;
 mod camera_faults;
 mod camera_usb;

@@ -320,22 +320,22 @@ fn a_session_measures_where_its_sensor_clips_and_judges_by_it() {
     let dark = birdbath("calibration/dark/0.dng").display().to_string();
     let lit = birdbath("bad/good_on.dng").display().to_string();
     for (unfit, words) in [(&dark, "too close to black"), (&lit, "sites are not blown")] {
-        let out = unlit(&["calibrate", "saturation", &session, unfit], home.path());
+        let out = unlit(&["calibrate", "levels", &session, "--blown", unfit], home.path());
         assert_eq!(out.status.code(), Some(1), "{unfit}: {}", text(&out.stdout));
         assert!(text(&out.stderr).contains(words), "{}", text(&out.stderr));
     }
-    // The nearest card is blown in green alone: red is refused.
-    let out = unlit(&["calibrate", "saturation", &session, &blown], home.path());
-    assert!(text(&out.stderr).contains("the red sites are not blown"), "{}", text(&out.stderr));
+    // The nearest card is blown in green alone: the others are told as not reached.
+    let out = unlit(&["calibrate", "levels", &session, "--blown", &blown], home.path());
+    assert!(text(&out.stdout).contains("red and blue never clips"), "{}", text(&out.stdout));
     let blown = home.path().join("blown.dng").display().to_string();
     std::fs::write(&blown, two_stops_brighter(&birdbath("calibration/white/d0500_1.dng"))).unwrap();
-    let out = unlit(&["calibrate", "saturation", &session, &blown], home.path());
+    let out = unlit(&["calibrate", "levels", &session, "--blown", &blown], home.path());
     assert!(out.status.success(), "{}{}", text(&out.stdout), text(&out.stderr));
-    let table = pipeline_saturation(&session);
-    assert_eq!(table.entries.len(), 1);
+    let measured = measured_levels(&session);
+    assert_eq!(measured.isos.len(), 1);
     // The studio's sensor clips at 15380 and the file says so.
-    for level in table.entries[0].saturation.concat() {
-        assert!((15_370.0..=15_380.0).contains(&level), "{level}");
+    for level in measured.isos[0].saturation.concat() {
+        assert!((15_370.0..=15_380.0).contains(&level.unwrap()), "{level:?}");
     }
     let told = unlit(&["inspect", &lit, "--session", &session], home.path());
     assert!(text(&told.stdout).contains("from calibration shots"), "{}", text(&told.stdout));
@@ -360,8 +360,8 @@ fn two_stops_brighter(file: &Path) -> Vec<u8> {
     bytes
 }
 
-fn pipeline_saturation(session: &str) -> unlit::photometry::saturation::SaturationTable {
-    unlit::pipeline::saturation::load(&Session::open_shared(Path::new(session)).unwrap()).unwrap()
+fn measured_levels(session: &str) -> unlit::photometry::levels::MeasuredLevels {
+    unlit::pipeline::levels::load(&Session::open_shared(Path::new(session)).unwrap()).unwrap()
 }
 
 #[test]

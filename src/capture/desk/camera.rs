@@ -11,7 +11,7 @@ use crate::capture::thumbnail::ThumbnailError;
 use crate::pair::order::Slot;
 use crate::pair::{Exposure, Offered, Plan, Window};
 use crate::photometry::inspect::{self, Inspection};
-use crate::pipeline::saturation;
+use crate::pipeline::levels;
 use crate::rig::CameraInfo;
 use crate::session::Session;
 use serde_json::json;
@@ -88,9 +88,9 @@ impl Desk {
         let session = self.reader(session)?;
         let record = self.pair(&session, number)?;
         let file = &frame_of(&record, slot)?.file;
-        let measured = saturation::load(&session).map_err(PlaceError::from)?;
-        let photo = saturation::read(&session.pair_dir(&record).join(file), &measured)
-            .map_err(ThumbnailError::from)?;
+        let measured = levels::load(&session).map_err(PlaceError::from)?;
+        let photo =
+            levels::read(&session.pair_dir(&record).join(file), &measured).map_err(ThumbnailError::from)?;
         let dn = &photo.mosaic.dn;
         let region = session.manifest().region.map(|window| window.sites(dn.width(), dn.height()));
         inspect::inspect(&photo.mosaic, region).map_err(|error| DeskError::BadValue(error.to_string()))

@@ -4,7 +4,10 @@ mod colour;
 mod exposure;
 mod flash;
 mod flat;
+mod levels;
+mod noise;
 
+use crate::calibration::{Record, Shot, Verdict};
 use crate::capture::{Engine, Events, words_on_repeatability};
 use crate::cli::devices::DeviceArgs;
 use crate::cli::settings::ConfigArgs;
@@ -26,14 +29,26 @@ pub(super) enum Calibrate {
     /// farthest at which you photograph, three times each, at one aperture and ISO and one power of the flash. The shutter
     /// may differ: a flash is an energy, not a power.
     Flash(FlashArgs),
+    /// Black, read noise and saturation of the sensor, from dark frames (lens cap) and deliberately blown ones.
+    ///
+    /// Dark frames: lens cap on, viewfinder covered, two frames or more at every ISO in use, with the shutter time of
+    /// the photographs. Blown frames: a bright, even surface, over-exposed by three stops or more, one at every ISO in
+    /// use; a colour that still does not clip is reported as not reached. Give all frames at once: a new run replaces
+    /// what was measured before.
+    Levels(levels::LevelsArgs),
+    /// Gain, read noise, full well and linearity of the sensor, from pairs of evenly lit frames (photon transfer).
+    ///
+    /// How to shoot: an evenly lit plain surface, out of focus, camera on a tripod, all automatic off. Two frames at
+    /// every light level, from dark to just past clipping, eight levels or more: brighten the light between levels by a
+    /// known step (--stops), or leave the light and lengthen the shutter time. Two dark frames (lens cap) of the same ISO
+    /// make the read noise sure. Shots may be given in any order.
+    Noise(noise::NoiseArgs),
     /// What the steps of ISO, shutter and aperture truly do, from ladders of shots in steady light.
     Exposure(exposure::ExposureArgs),
     /// Vignetting and flat field, from evenly lit frames.
     Flat(flat::FlatArgs),
     /// The camera's colours, from a raw file of a colour chart.
     Colour(colour::ColourArgs),
-    /// Where the sensor clips, from deliberately blown frames: one at every ISO in use.
-    Saturation(SaturationArgs),
     /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller; or from lit frames alone.
     Repeatability(RepeatabilityArgs),
 }
@@ -60,23 +75,16 @@ pub(super) struct RepeatabilityArgs {
     _config: ConfigArgs,
 }
 
-/// Arguments of `unlit calibrate saturation`.
-#[derive(clap::Args)]
-pub(super) struct SaturationArgs {
-    /// Session folder.
-    session: PathBuf,
-    /// Raw files of a bright, even surface, over-exposed by three stops or more.
-    #[arg(required = true)]
-    frames: Vec<PathBuf>,
 }
 
 pub(super) fn run(what: &Calibrate) -> CliResult {
     match what {
+        Calibrate::Levels(args) => levels::run(args),
+        Calibrate::Noise(args) => noise::run(args),
         Calibrate::Exposure(args) => exposure::run(args),
         Calibrate::Flat(args) => flat::run(args),
         Calibrate::Colour(args) => colour::run(args),
         Calibrate::Flash(args) => flash::flash(args),
-        Calibrate::Saturation(args) => saturation(args),
         Calibrate::Repeatability(args) => repeatability(args),
     }
 }
@@ -109,20 +117,20 @@ fn repeatability(args: &RepeatabilityArgs) -> CliResult {
     Ok(Exit::Success)
 }
 
-fn saturation(args: &SaturationArgs) -> CliResult {
-    let session = open_session(&args.session)?;
-    let (bar, progress) = progress_bar::watched();
-    let entries = pipeline::saturation::calibrate(&session, &args.frames, &progress);
-    bar.finish_and_clear();
-    for entry in entries.map_err(CliError::new)? {
-        let isos: Vec<String> = entry.isos.iter().map(f64::to_string).collect();
-        let [[a, b], [c, d]] = entry.saturation;
-        println!(
-            "{} ISO {}: {a:.0} {b:.0} / {c:.0} {d:.0} DN, {}",
-            entry.model,
-            isos.join(", "),
-            entry.origin
-        );
-    }
+/// The record as JSON on stdout, and nothing else there.
+fn print_json<T: serde::Serialize>(record: &Record<T>) -> CliResult {
+    println!("{}", serde_json::to_string_pretty(record).map_err(CliError::new)?);
     Ok(Exit::Success)
 }
+
+/// The verdict in words, and every shot that was left out.
+fn print_verdict(verdict: &Verdict, shots: &[Shot]) {
+    verdict.sentences.iter().for_each(|sentence| println!("{sentence}"));
+    for shot in shots {
+        if let Some(why) = &shot.left_out {
+            println!("left out: {}: {why}", shot.file);
+        }
+    }
+    println!();
+}
+

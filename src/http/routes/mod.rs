@@ -95,7 +95,7 @@ impl From<DeskError> for Problem {
             DeskError::BadValue(_) => (StatusCode::BAD_REQUEST, "value_invalid"),
             DeskError::Window(_) => (StatusCode::BAD_REQUEST, "region_invalid"),
             DeskError::Capture(
-                error @ (CaptureError::NoThread(_) | CaptureError::Place(_) | CaptureError::Saturation(_)),
+                error @ (CaptureError::NoThread(_) | CaptureError::Place(_) | CaptureError::Levels(_)),
             ) => (StatusCode::INTERNAL_SERVER_ERROR, error.code()),
             // A camera that is missing or asleep is a state of the house that one must reckon with.
             DeskError::Capture(error) => (StatusCode::CONFLICT, error.code()),

@@ -1,7 +1,7 @@
 //! Colour of a session, from a frame of a chart: `calibration/colour.json`, its figure, and `calibration/colour.png`,
 //! which shows where the patches were found.
 
-use super::{Series, SeriesError};
+use super::{RecordError, Series, SeriesError};
 use crate::calibration::colour::{
     self, ChartFrame, ChartKind, ColourError, ColourFit, Found, FramesDiffer, fit_colour, overlay,
 };
@@ -153,7 +153,7 @@ pub fn calibrate(
 }
 
 /// The session's colour calibration; `None` if it was not made.
-pub fn load(session: &Session) -> Result<Option<Record<SessionColour>>, SeriesError> {
+pub fn load(session: &Session) -> Result<Option<Record<SessionColour>>, RecordError> {
     super::load(session, KIND)
 }
 

@@ -1,6 +1,6 @@
 //! The exposure table of a session: ladders of shots in, `calibration/exposure.json` out.
 
-use super::{Series, SeriesError, load as load_record};
+use super::{RecordError, Series, SeriesError, load as load_record};
 use crate::calibration::exposure::{
     ExposureFit, ExposureFitError, ExposureTable, ScaleSource, fit_exposure, verdict,
 };
@@ -63,7 +63,7 @@ pub fn calibrate(
 }
 
 /// The session's table; `None` if it was not measured.
-pub fn load(session: &Session) -> Result<Option<Record<ExposureFit>>, SeriesError> {
+pub fn load(session: &Session) -> Result<Option<Record<ExposureFit>>, RecordError> {
     load_record(session, KIND)
 }
 
@@ -75,7 +75,7 @@ pub struct SessionScale {
 
 impl SessionScale {
     /// By the session's table if it has one.
-    pub fn load(session: &Session) -> Result<Self, SeriesError> {
+    pub fn load(session: &Session) -> Result<Self, RecordError> {
         Ok(Self { record: load(session)?.filter(|record| record.verdict.good) })
     }
 

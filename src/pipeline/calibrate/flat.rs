@@ -1,6 +1,6 @@
 //! The flat field of a session: evenly lit frames in, `calibration/flat.json` out.
 
-use super::{Series, SeriesError, load as load_record};
+use super::{RecordError, Series, SeriesError, load as load_record};
 use crate::calibration::Record;
 use crate::calibration::flat::{FlatCalibration, FlatFitError, fit_flat};
 use crate::calibration::tiles::{EvenFrame, Tiles, TooSmall};
@@ -59,7 +59,7 @@ pub fn calibrate(
 
 /// The session's flat field; `None` if it was not measured. It is true of one body, lens, focal length and aperture:
 /// [`FlatCalibration::fits`].
-pub fn load(session: &Session) -> Result<Option<Record<FlatCalibration>>, SeriesError> {
+pub fn load(session: &Session) -> Result<Option<Record<FlatCalibration>>, RecordError> {
     load_record(session, KIND)
 }
 

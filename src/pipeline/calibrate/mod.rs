@@ -6,12 +6,14 @@
 pub mod colour;
 pub mod exposure;
 pub mod flat;
+pub mod levels;
+pub mod noise;
 
+use super::levels as sensor_levels;
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 use crate::codec::raw::{Photo, RawError};
 use crate::export::chart::{self, Chart};
-use crate::photometry::saturation::SaturationTable;
-use crate::pipeline::saturation::{self, SaturationError};
+use crate::photometry::levels::MeasuredLevels;
 use crate::progress::{Cancelled, Progress};
 use crate::session::{Session, SessionError, store, utc_now};
 use serde::Serialize;
@@ -53,9 +55,29 @@ pub enum SeriesError {
     /// A shot changed while it was used.
     #[error("{} changed while it was read; try again when nothing writes it any more", .0.display())]
     Changed(PathBuf),
-    /// The session's saturation table cannot be read.
+    /// A calibration's record cannot be read or written.
     #[error(transparent)]
-    Saturation(#[from] SaturationError),
+    Record(#[from] RecordError),
+    /// The session refused.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// Stopped on request.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+/// Why a calibration that was made could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordError {
+    /// The disk refused.
+    #[error("{}: {source}; check that the disk is there and readable", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's own word.
+        source: std::io::Error,
+    },
     /// A calibration's file is broken.
     #[error("{} is damaged ({reason}); calibrate again", path.display())]
     Damaged {
@@ -72,19 +94,13 @@ pub enum SeriesError {
         /// Its form.
         found: u32,
     },
-    /// The session refused.
-    #[error(transparent)]
-    Session(#[from] SessionError),
-    /// Stopped on request.
-    #[error(transparent)]
-    Cancelled(#[from] Cancelled),
 }
 
 /// A series of shots as they are read.
 pub(super) struct Series<'a> {
     session: &'a Session,
     kind: &'static str,
-    measured: SaturationTable,
+    measured: MeasuredLevels,
     rig: Rig,
     shots: Vec<Shot>,
     /// Where each shot was read from.
@@ -94,7 +110,12 @@ pub(super) struct Series<'a> {
 impl<'a> Series<'a> {
     /// A series without shots yet, to be kept as a calibration of this kind.
     pub(super) fn new(session: &'a Session, kind: &'static str) -> Result<Self, SeriesError> {
-        let measured = saturation::load(session)?;
+        // Levels are measured on the frames as they are, whatever an earlier measurement said.
+        let measured = if kind == sensor_levels::KIND {
+            MeasuredLevels::default()
+        } else {
+            sensor_levels::load(session)?
+        };
         Ok(Self { session, kind, measured, rig: Rig::default(), shots: vec![], paths: vec![] })
     }
 
@@ -102,7 +123,7 @@ impl<'a> Series<'a> {
     /// count of those.
     pub(super) fn read(&mut self, path: &Path) -> Result<Photo, SeriesError> {
         let bytes = std::fs::read(path).map_err(io(path))?;
-        let photo = saturation::decode(&bytes, &path.display().to_string(), &self.measured)?;
+        let photo = sensor_levels::decode(&bytes, &path.display().to_string(), &self.measured)?;
         let settings = &photo.settings;
         let other = |source| SeriesError::OtherRig { path: path.to_owned(), source };
         self.rig.same_lens(settings, "the first shot").map_err(other)?;
@@ -178,7 +199,7 @@ impl<'a> Series<'a> {
         session.keep(&folder.join(format!("{kind}.svg")), chart::picture(figure).as_bytes())?;
         let path = file(session, kind);
         let bytes = serde_json::to_vec_pretty(&record)
-            .map_err(|e| SeriesError::Damaged { path: path.clone(), reason: e.to_string() })?;
+            .map_err(|e| RecordError::Damaged { path: path.clone(), reason: e.to_string() })?;
         session.keep(&path, &bytes)?;
         progress.report("copying the shots", count, count);
         Ok(record)
@@ -189,7 +210,7 @@ impl<'a> Series<'a> {
 pub(super) fn load<T: DeserializeOwned>(
     session: &Session,
     kind: &str,
-) -> Result<Option<Record<T>>, SeriesError> {
+) -> Result<Option<Record<T>>, RecordError> {
     #[derive(serde::Deserialize)]
     struct Form {
         schema: u32,
@@ -197,12 +218,12 @@ pub(super) fn load<T: DeserializeOwned>(
     let path = file(session, kind);
     let bytes = match std::fs::read(&path) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
-        other => other.map_err(io(&path))?,
+        other => other.map_err(|source| RecordError::Io { path: path.clone(), source })?,
     };
-    let damaged = |e: serde_json::Error| SeriesError::Damaged { path: path.clone(), reason: e.to_string() };
+    let damaged = |e: serde_json::Error| RecordError::Damaged { path: path.clone(), reason: e.to_string() };
     let Form { schema: found } = serde_json::from_slice(&bytes).map_err(damaged)?;
     if found > SCHEMA {
-        return Err(SeriesError::TooNew { path, found });
+        return Err(RecordError::TooNew { path, found });
     }
     serde_json::from_slice(&bytes).map(Some).map_err(damaged)
 }

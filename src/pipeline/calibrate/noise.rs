@@ -1,0 +1,258 @@
+//! Noise and linearity of a session's sensor: pairs of evenly lit frames in, `calibration/noise.json` out.
+//!
+//! Frames are read twice: once for their means, by which those of one light find each other, and again two by two.
+
+use super::{RecordError, Series, SeriesError};
+use crate::calibration::noise::{
+    FrameMean, IsoInput, LightLevel, NoTransfer, NoiseFit, OtherSize, PairTiles, compare, fit, levels,
+};
+use crate::calibration::{Record, Verdict};
+use crate::export::chart::{self, Chart};
+use crate::pair::Settings;
+use crate::photometry::apex::{ExposureScale, Nominal};
+use crate::photometry::{Levels, Mosaic, NoiseModel};
+use crate::pipeline::levels as sensor_levels;
+use crate::progress::Progress;
+use crate::session::Session;
+use crate::units::{Iso, Seconds};
+use std::path::{Path, PathBuf};
+
+/// The calibration's name: `calibration/noise.json`.
+const KIND: &str = "noise";
+
+/// The frames of a series.
+#[derive(Clone, Copy, Debug)]
+pub struct NoiseFrames<'a> {
+    /// Evenly lit, two or more of every light level, in any order.
+    pub lit: &'a [PathBuf],
+    /// With the lens cap on.
+    pub dark: &'a [PathBuf],
+    /// Stops of light from one level to the next, if the light was changed.
+    pub stops: Option<f64>,
+}
+
+/// Why noise could not be measured.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum NoiseError {
+    /// The shots could not be read, or the result not be kept.
+    #[error(transparent)]
+    Series(#[from] SeriesError),
+    /// A frame does not tell its sensitivity.
+    #[error("{} does not tell its ISO; give a raw file as the camera wrote it", .0.display())]
+    Untold(PathBuf),
+    /// Frames that cannot be compared.
+    #[error("{}: {source}", path.display())]
+    Size {
+        /// The second frame.
+        path: PathBuf,
+        /// What is wrong.
+        source: OtherSize,
+    },
+    /// Too little to fit.
+    #[error(transparent)]
+    Fit(#[from] NoTransfer),
+}
+
+/// A frame as it was read first.
+struct Frame<'a> {
+    path: &'a Path,
+    /// Its number in the series.
+    shot: usize,
+    iso: Iso,
+    dark: bool,
+    levels: Levels,
+    mean: FrameMean,
+    /// Mean of every filter position, DN.
+    means: [[f64; 2]; 2],
+    cfa: crate::photometry::Cfa,
+}
+
+/// Measures noise and linearity of every ISO that occurs, and keeps them in the session.
+pub fn calibrate(
+    session: &Session,
+    given: NoiseFrames<'_>,
+    progress: &Progress,
+) -> Result<Record<NoiseFit>, NoiseError> {
+    let mut series = Series::new(session, KIND)?;
+    let total = given.lit.len() + given.dark.len();
+    let all = given.lit.iter().map(|path| (path, false)).chain(given.dark.iter().map(|path| (path, true)));
+    let mut frames = vec![];
+    for (shot, (path, dark)) in all.enumerate() {
+        progress.check().map_err(SeriesError::from)?;
+        progress.report("reading the frames", shot, total);
+        let photo = series.read(path)?;
+        let iso = photo.settings.iso.ok_or_else(|| NoiseError::Untold(path.clone()))?;
+        frames.push(frame(path, shot, (iso, dark), &photo.mosaic, &photo.settings));
+    }
+    let mut isos: Vec<Iso> = vec![];
+    for frame in frames.iter().filter(|frame| !frame.dark) {
+        if !isos.contains(&frame.iso) {
+            isos.push(frame.iso);
+        }
+    }
+    isos.sort_by(|a, b| a.0.total_cmp(&b.0));
+    for frame in frames.iter().filter(|frame| frame.dark && !isos.contains(&frame.iso)) {
+        series.leave_out(frame.shot, format!("there are no lit frames at {}", frame.iso));
+    }
+    let mut noise = vec![];
+    for iso in isos {
+        let own: Vec<&Frame> = frames.iter().filter(|frame| frame.iso == iso).collect();
+        noise.push(fit(&input(&mut series, iso, &own, given.stops, progress)?)?);
+    }
+    let result = NoiseFit { noise };
+    let verdict = result.verdict();
+    let figure = figure(&result, &verdict);
+    Ok(series.keep(result, verdict, &figure, progress)?)
+}
+
+/// The variance model that the session has for frames of these settings: of the same body and ISO; `None` if none was
+/// measured.
+pub fn model(session: &Session, settings: &Settings) -> Result<Option<NoiseModel>, RecordError> {
+    let Some(record) = super::load::<NoiseFit>(session, KIND)? else { return Ok(None) };
+    if !record.verdict.good || settings.model.is_none() {
+        return Ok(None);
+    }
+    let fits = record.rig.same_body(settings, "the noise calibration").is_ok();
+    Ok(record.fit.model(settings.iso).filter(|_| fits))
+}
+
+fn frame<'a>(
+    path: &'a Path,
+    shot: usize,
+    (iso, dark): (Iso, bool),
+    mosaic: &Mosaic,
+    settings: &Settings,
+) -> Frame<'a> {
+    let mut sums = [[0u64; 2]; 2];
+    let mut sites = [[0u64; 2]; 2];
+    for (y, line) in mosaic.dn.pixels().chunks_exact(mosaic.dn.width().max(1)).enumerate() {
+        for (x, &dn) in line.iter().enumerate() {
+            sums[y & 1][x & 1] += u64::from(dn);
+            sites[y & 1][x & 1] += 1;
+        }
+    }
+    let means = [0, 1].map(|r| [0, 1].map(|c| sums[r][c] as f64 / sites[r][c].max(1) as f64));
+    let black: f64 = mosaic.levels.black.as_flattened().iter().map(|b| f64::from(*b)).sum();
+    let mean = FrameMean {
+        size: (mosaic.dn.width(), mosaic.dn.height()),
+        shutter: settings.shutter.map(|s| s.0),
+        aperture: settings.aperture.map(|n| n.0),
+        mean: 0.25 * (means.as_flattened().iter().sum::<f64>() - black),
+    };
+    Frame { path, shot, iso, dark, levels: mosaic.levels, mean, means, cfa: mosaic.cfa }
+}
+
+/// Compares the frames of one ISO two by two.
+fn input(
+    series: &mut Series<'_>,
+    iso: Iso,
+    frames: &[&Frame<'_>],
+    stops: Option<f64>,
+    progress: &Progress,
+) -> Result<IsoInput, NoiseError> {
+    let (dark, lit): (Vec<&Frame>, Vec<&Frame>) = frames.iter().copied().partition(|frame| frame.dark);
+    let black = black(&dark, &lit);
+    let means = |frames: &[&Frame]| frames.iter().map(|frame| frame.mean).collect::<Vec<_>>();
+    let pairs =
+        |members: &[usize], of: &[&Frame], series: &mut Series| -> Result<Vec<PairTiles>, NoiseError> {
+            let mut found = vec![];
+            for two in members.chunks(2) {
+                progress.check().map_err(SeriesError::from)?;
+                progress.report("comparing pairs of frames", of[two[0]].shot, of.len());
+                let &[first, second] = two else {
+                    series.leave_out(
+                        of[two[0]].shot,
+                        "there is no second frame of the same light and settings".into(),
+                    );
+                    continue;
+                };
+                let (first, second) = (of[first], of[second]);
+                let read = |frame: &Frame| -> Result<Mosaic, SeriesError> {
+                    Ok(sensor_levels::read(frame.path, &series.measured)?.mosaic)
+                };
+                let tiles = compare(&read(first)?, &read(second)?, black)
+                    .map_err(|source| NoiseError::Size { path: second.path.to_owned(), source })?;
+                if tiles.tiles.is_empty() {
+                    let why = "every part of it clips, at the top or at 0 DN, or it is too small";
+                    series.leave_out(first.shot, why.into());
+                    series.leave_out(second.shot, why.into());
+                } else {
+                    found.push(tiles);
+                }
+            }
+            Ok(found)
+        };
+    let mut steps = vec![];
+    for members in levels(&means(&lit)) {
+        let first = lit[members[0]].mean;
+        let found = pairs(&members, &lit, series)?;
+        if !found.is_empty() {
+            let time = first.shutter.map(|label| Nominal.time(Seconds(label)));
+            steps.push((first.mean, LightLevel { time, aperture: first.aperture, pairs: found }));
+        }
+    }
+    steps.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut dark_pairs = vec![];
+    for members in levels(&means(&dark)) {
+        dark_pairs.extend(pairs(&members, &dark, series)?);
+    }
+    let own = lit[0];
+    Ok(IsoInput {
+        iso,
+        levels: steps.into_iter().map(|step| step.1).collect(),
+        dark: dark_pairs,
+        range: range(own, black),
+        saturation_source: own.levels.saturation_source,
+        black_error: black_error(&dark),
+        stops,
+    })
+}
+
+/// Black by filter position: mean of the dark frames, else what the frames are read with.
+fn black(dark: &[&Frame<'_>], lit: &[&Frame<'_>]) -> [[f64; 2]; 2] {
+    if dark.is_empty() {
+        return lit[0].levels.black.map(|row| row.map(f64::from));
+    }
+    let mean = |r: usize, c: usize| dark.iter().map(|d| d.means[r][c]).sum::<f64>() / dark.len() as f64;
+    [0, 1].map(|r| [0, 1].map(|c| mean(r, c)))
+}
+
+/// Standard error of black as the dark frames' means spread; a tenth of a DN without two of them.
+fn black_error(dark: &[&Frame<'_>]) -> f64 {
+    if dark.len() < 2 {
+        return 0.1;
+    }
+    let n = dark.len() as f64;
+    let mean = dark.iter().map(|d| d.mean.mean).sum::<f64>() / n;
+    (dark.iter().map(|d| (d.mean.mean - mean).powi(2)).sum::<f64>() / (n - 1.0) / n).sqrt()
+}
+
+/// Saturation less black of each colour, the lowest of its positions.
+fn range(frame: &Frame<'_>, black: [[f64; 2]; 2]) -> [f64; 3] {
+    let mut range = [f64::INFINITY; 3];
+    for (r, c) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+        let colour = &mut range[usize::from(frame.cfa.0[r][c]).min(2)];
+        *colour = colour.min(f64::from(frame.levels.saturation[r][c]) - black[r][c]);
+    }
+    range
+}
+
+/// Variance over signal of the first ISO.
+fn figure(fit: &NoiseFit, verdict: &Verdict) -> Chart {
+    let first = fit.noise.first();
+    let series = ["red", "green", "blue"].map(|colour| {
+        let own = first.into_iter().flat_map(|noise| &noise.residuals).filter(|r| r.colour == colour);
+        chart::Series {
+            name: colour.to_owned(),
+            points: own.map(|r| (r.signal_dn, r.variance_dn2, r.variance_error_dn2)).collect(),
+        }
+    });
+    let at = first.map_or_else(String::new, |noise| format!(" at {}", noise.iso));
+    Chart {
+        caption: verdict.sentences.join(" "),
+        across: format!("signal above black{at}, DN"),
+        up: "variance, DN^2".into(),
+        series: series.into(),
+    }
+}

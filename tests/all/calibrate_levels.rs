@@ -1,0 +1,68 @@
+//! Sensor levels by the program itself, on files of a simulated camera whose truth is known.
+
+use crate::samples::shared;
+use serde_json::Value;
+use std::process::Command;
+
+/// Runs the program with `--json`; gives what it printed.
+pub(crate) fn json(arguments: &[String]) -> Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap();
+    let complained = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "unlit {arguments:?}: {complained}");
+    if output.stdout.is_empty() {
+        Value::Null
+    } else {
+        serde_json::from_slice(&output.stdout).unwrap_or(Value::Null)
+    }
+}
+
+pub(crate) fn file(path: &str) -> String {
+    shared(&format!("scenes/birdbath/{path}")).display().to_string()
+}
+
+pub(crate) fn truth() -> Value {
+    serde_json::from_slice(&std::fs::read(file("truth/scene.json")).unwrap()).unwrap()
+}
+
+/// A new session's path.
+pub(crate) fn session(folder: &std::path::Path) -> String {
+    let path = folder.join("bath").display().to_string();
+    json(&["new".into(), path.clone()]);
+    path
+}
+
+#[test]
+fn black_and_saturation_of_the_bird_baths_camera_are_exact_and_what_never_clips_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = session(folder.path());
+    let mut arguments: Vec<String> =
+        ["calibrate", "levels", &session, "--json", "--dark"].map(String::from).into();
+    arguments.extend((0..4).map(|i| file(&format!("calibration/dark/{i}.dng"))));
+    arguments.push("--blown".into());
+    arguments.extend((0..2).map(|i| file(&format!("calibration/linearity/13_{i}.dng"))));
+    let record = json(&arguments);
+    let sensor = &truth()["sensor"];
+    let levels = &record["levels"][0];
+    for site in levels["sites"].as_array().unwrap() {
+        println!("{site}");
+        let of = |name: &str| site[name].as_f64().unwrap();
+        let black = of("black_dn") - sensor["black_dn"].as_f64().unwrap();
+        assert!(black.abs() < 0.03 && black.abs() < 4.0 * of("black_error_dn"), "{site}");
+        let read = of("read_noise_dn") * sensor["electrons_per_dn"].as_f64().unwrap();
+        assert!((read / sensor["read_noise_e"].as_f64().unwrap() - 1.0).abs() < 0.08, "{site}");
+        if site["colour"] == "green" {
+            assert_eq!(site["saturation_dn"], sensor["saturation_dn"].as_f64().unwrap());
+        } else {
+            assert!(site.get("saturation_dn").is_none(), "{site}");
+            assert!(site["not_reached"].as_str().unwrap().contains("not blown"), "{site}");
+        }
+    }
+    let said = record["verdict"]["sentences"].to_string();
+    assert!(said.contains("red and blue never clips"), "{said}");
+    assert!(std::path::Path::new(&session).join("calibration/levels.svg").is_file());
+    // Frames are read with it.
+    let told =
+        json(&["inspect".into(), file("bad/good_on.dng"), "--session".into(), session, "--json".into()]);
+    assert_eq!(told["levels"]["black_source"], "measured");
+    assert_eq!(told["levels"]["saturation_source"], "file_tag");
+}
