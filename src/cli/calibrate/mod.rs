@@ -14,7 +14,6 @@ use crate::cli::settings::ConfigArgs;
 use crate::cli::shoot::tell_of_recovery;
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pair::Limits;
-use crate::pipeline;
 use crate::pipeline::steadiness::SteadyFile;
 use flash::FlashArgs;
 use std::path::PathBuf;
@@ -73,8 +72,6 @@ pub(super) struct RepeatabilityArgs {
     devices: DeviceArgs,
     #[command(flatten)]
     _config: ConfigArgs,
-}
-
 }
 
 pub(super) fn run(what: &Calibrate) -> CliResult {
