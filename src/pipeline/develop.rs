@@ -1,16 +1,16 @@
 //! One pair's files to its known light and the lamp that made it.
 
-use crate::calibration::{FlashCalibration, OtherRig};
+use crate::calibration::FlashCalibration;
 use crate::codec::raw::RawError;
-use crate::pair::{PairRecord, Settings};
-use crate::photometry::apex::{ExposureScale, Nominal};
+use crate::pair::PairRecord;
+use crate::photometry::apex::ExposureScale;
 use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{
     FlashGain, IsolateError, Known, KnownMosaic, NoiseModel, RoomLight, demosaic, isolate, isolate_mean,
 };
-use crate::pipeline::calibrate::exposure::SessionScale;
 use crate::pipeline::calibrate::{self, RecordError};
 use crate::pipeline::levels;
+use crate::pipeline::scale::{RatioError, SessionScale, of_calibration};
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
 use crate::units::{FNumber, Iso};
@@ -32,15 +32,13 @@ pub enum DevelopError {
         /// What is wrong.
         source: IsolateError,
     },
-    /// The room's light cannot be scaled.
-    #[error(
-        "pair {name}: only one of its two frames tells the {setting}, so that the room's light cannot be taken out; shoot it again with one setting for both"
-    )]
-    Lacking {
+    /// Its exposures cannot be scaled to each other or to the flash calibration's.
+    #[error("pair {name}: {source}")]
+    Ratio {
         /// Pair.
         name: String,
-        /// Which setting.
-        setting: &'static str,
+        /// Why.
+        source: RatioError,
     },
     /// The light cannot be compared with the calibration's.
     #[error(
@@ -51,16 +49,6 @@ pub enum DevelopError {
         name: String,
         /// Which setting.
         setting: &'static str,
-    },
-    /// The session's exposure table is another body's.
-    #[error(
-        "pair {name} needs the exposure table, since settings differ: {source}; run `unlit calibrate exposure` with the body that took the photos, or remove calibration/exposure.json"
-    )]
-    OtherBody {
-        /// Pair.
-        name: String,
-        /// What differs.
-        source: OtherRig,
     },
     /// The photo is of another size than its camera model.
     #[error(
@@ -110,11 +98,9 @@ pub(super) fn isolated_sites(
     let folder = session.pair_dir(pair);
     let read = |file: &str| levels::read(&folder.join(file), measured);
     let (on, off) = rayon::join(|| read(&pair.on.file), || read(&pair.off.file));
-    let table = SessionScale::load(session)?
-        .between(&pair.on.settings, &pair.off.settings)
-        .map_err(|source| DevelopError::OtherBody { name: pair.name.clone(), source })?;
-    let scale = exposure_ratio_by(&table, &pair.on.settings, &pair.off.settings)
-        .map_err(|setting| DevelopError::Lacking { name: pair.name.clone(), setting })?;
+    let scale = SessionScale::load(session)?
+        .room_ratio(&pair.on.settings, &pair.off.settings)
+        .map_err(|source| DevelopError::Ratio { name: pair.name.clone(), source })?;
     let (on, off) = (on?.mosaic, off?.mosaic);
     let unfit = |source| DevelopError::Isolate { name: pair.name.clone(), source };
     let mut further = pair.dark_frames().skip(1).peekable();
@@ -143,11 +129,9 @@ pub fn lamp(
         (None, None) => Ok(1.0),
         _ => Err(unknown(setting)),
     };
-    let (iso, aperture) = (calibration.iso.map(Iso), calibration.aperture.map(FNumber));
-    let then = Settings { iso, aperture, shutter: settings.shutter, ..Settings::default() };
     let table = scale
-        .between(settings, &then)
-        .map_err(|source| DevelopError::OtherBody { name: pair.name.clone(), source })?;
+        .between(settings, &of_calibration(calibration, settings))
+        .map_err(|source| DevelopError::Ratio { name: pair.name.clone(), source: source.into() })?;
     let (iso, aperture) = (|v| table.gain(Iso(v)), |v| table.aperture(FNumber(v)));
     let gain = ratio(settings.iso.map(|s| iso(s.0)), calibration.iso.map(iso), "ISO")?
         * ratio(settings.aperture.map(|n| aperture(n.0)), calibration.aperture.map(aperture), "aperture")?;
@@ -156,49 +140,4 @@ pub fn lamp(
         radiance: calibration.radiance.map(|r| r * gain),
         field: calibration.field,
     })
-}
-
-/// S_on / S_off with S = t ISO / N^2, by what the labels stand for. What neither frame tells counts as equal; what one of them lacks is an error
-/// that names the setting.
-pub(crate) fn exposure_ratio(on: &Settings, off: &Settings) -> Result<f64, &'static str> {
-    exposure_ratio_by(&Nominal, on, off)
-}
-
-/// The same by a scale of a body's own.
-fn exposure_ratio_by(scale: &impl ExposureScale, on: &Settings, off: &Settings) -> Result<f64, &'static str> {
-    let ratio = |on: Option<f64>, off: Option<f64>, setting| match (on, off) {
-        (Some(on), Some(off)) => Ok(on / off),
-        (None, None) => Ok(1.0),
-        _ => Err(setting),
-    };
-    let time = |s: &Settings| s.shutter.map(|v| scale.time(v));
-    let iso = |s: &Settings| s.iso.map(|v| scale.gain(v));
-    let aperture = |s: &Settings| s.aperture.map(|v| scale.aperture(v));
-    Ok(ratio(time(on), time(off), "shutter")?
-        * ratio(iso(on), iso(off), "ISO")?
-        * ratio(aperture(on), aperture(off), "aperture")?)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::units::Seconds;
-
-    #[test]
-    fn the_rooms_light_scales_with_time_iso_and_aperture_and_not_with_what_nobody_told() {
-        let on = Settings {
-            shutter: Some(Seconds(1.0 / 60.0)),
-            aperture: Some(FNumber(8.0)),
-            iso: Some(Iso(200.0)),
-            ..Settings::default()
-        };
-        // 1/60 and 1/125 are 2^-6 and 2^-7 s, f/8 and f/9 a third of a stop apart.
-        let off = Settings { shutter: Some(Seconds(1.0 / 125.0)), iso: Some(Iso(100.0)), ..on.clone() };
-        assert!((exposure_ratio(&on, &off).unwrap() - 4.0).abs() < 1e-9);
-        let closed = Settings { aperture: Some(FNumber(9.0)), ..off };
-        assert!((exposure_ratio(&on, &closed).unwrap() - 4.0 * 2f64.cbrt()).abs() < 1e-9);
-        let untold = Settings::default();
-        assert_eq!(exposure_ratio(&untold, &untold), Ok(1.0));
-        assert_eq!(exposure_ratio(&on, &Settings { shutter: None, ..on.clone() }), Err("shutter"));
-    }
 }

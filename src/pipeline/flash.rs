@@ -13,7 +13,8 @@ use crate::pair::{FlashRecord, FrameRecord, PairRecord, Settings};
 use crate::photometry::{IsolateError, NoNoise, NoiseGauge};
 use crate::pipeline::calibrate::RecordError;
 use crate::pipeline::levels;
-use crate::pipeline::{develop::exposure_ratio, scene};
+use crate::pipeline::scale::{RatioError, SessionScale};
+use crate::pipeline::scene;
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Distortion, Intrinsics};
 use crate::session::{Session, SessionError, store};
@@ -44,6 +45,14 @@ pub enum FlashError {
         label: String,
         /// Which.
         setting: &'static str,
+    },
+    /// The frames of a shot cannot be scaled to each other.
+    #[error("{label}: {source}")]
+    Ratio {
+        /// File.
+        label: String,
+        /// Why.
+        source: RatioError,
     },
     /// A shot cannot be decoded.
     #[error(transparent)]
@@ -149,7 +158,7 @@ pub fn calibrate(
     progress: &Progress,
 ) -> Result<Record<FlashCalibration>, FlashError> {
     let ring = Ring::new(facts.ring_radii[0], facts.ring_radii[1])?;
-    let measured = levels::load(session)?;
+    let (measured, scale) = (levels::load(session)?, SessionScale::load(session)?);
     let mut series = Series::new(session, KIND)?;
     let (mut cards, mut numbers, mut first) = (vec![], vec![], None::<Settings>);
     let (mut gauge, mut rooms) = (NoiseGauge::default(), HashSet::new());
@@ -168,8 +177,9 @@ pub fn calibrate(
         let label = label(&shot.on);
         let room = match &off {
             Some(off) => {
-                let ratio = exposure_ratio(&on.settings, &off.settings)
-                    .map_err(|setting| FlashError::Settings { label: label.clone(), setting })?;
+                let ratio = scale
+                    .room_ratio(&on.settings, &off.settings)
+                    .map_err(|source| FlashError::Ratio { label: label.clone(), source })?;
                 Some((&off.mosaic, ratio))
             }
             None => None,
