@@ -1,8 +1,9 @@
 //! One pair's files to its known light and the lamp that made it.
 
 use crate::calibration::FlashCalibration;
+use crate::calibration::exposure::ScaleSource;
 use crate::codec::raw::RawError;
-use crate::pair::PairRecord;
+use crate::pair::{PairRecord, Settings};
 use crate::photometry::apex::ExposureScale;
 use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{
@@ -13,7 +14,6 @@ use crate::pipeline::levels;
 use crate::pipeline::scale::{RatioError, SessionScale, of_calibration};
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
-use crate::units::{FNumber, Iso};
 
 /// Why a pair could not be developed.
 #[derive(Debug, thiserror::Error)]
@@ -98,9 +98,8 @@ pub(super) fn isolated_sites(
     let folder = session.pair_dir(pair);
     let read = |file: &str| levels::read(&folder.join(file), measured);
     let (on, off) = rayon::join(|| read(&pair.on.file), || read(&pair.off.file));
-    let scale = SessionScale::load(session)?
-        .room_ratio(&pair.on.settings, &pair.off.settings)
-        .map_err(|source| DevelopError::Ratio { name: pair.name.clone(), source })?;
+    let scale = SessionScale::load(session)?;
+    let scale = room_ratio(&pair.name, &scale, [&pair.on.settings, &pair.off.settings])?;
     let (on, off) = (on?.mosaic, off?.mosaic);
     let unfit = |source| DevelopError::Isolate { name: pair.name.clone(), source };
     let mut further = pair.dark_frames().skip(1).peekable();
@@ -115,29 +114,49 @@ pub(super) fn isolated_sites(
     isolate_mean(&on, &room, scale as f32, noise).map_err(unfit)
 }
 
-/// The lamp as the pair's lit frame saw it: the room's light goes with t ISO / N^2, the flash's with ISO / N^2
-/// alone, because a flash is over before the shutter closes. `scale` is the session's.
+/// The room's light in a lit frame over that in an unlit one, by the session's scale; `name` is told in errors.
+pub(super) fn room_ratio(
+    name: &str,
+    scale: &SessionScale,
+    [on, off]: [&Settings; 2],
+) -> Result<f64, DevelopError> {
+    scale.room_ratio(on, off).map_err(|source| DevelopError::Ratio { name: name.to_owned(), source })
+}
+
+/// The lamp as the pair's lit frame saw it. `scale` is the session's.
 pub fn lamp(
     pair: &PairRecord,
     calibration: &FlashCalibration,
     scale: &SessionScale,
 ) -> Result<Lamp, DevelopError> {
-    let settings = &pair.on.settings;
-    let unknown = |setting| DevelopError::Unknown { name: pair.name.clone(), setting };
-    let ratio = |now: Option<f64>, then: Option<f64>, setting| match (now, then) {
-        (Some(now), Some(then)) => Ok(now / then),
-        (None, None) => Ok(1.0),
-        _ => Err(unknown(setting)),
-    };
-    let table = scale
-        .between(settings, &of_calibration(calibration, settings))
-        .map_err(|source| DevelopError::Ratio { name: pair.name.clone(), source: source.into() })?;
-    let (iso, aperture) = (|v| table.gain(Iso(v)), |v| table.aperture(FNumber(v)));
-    let gain = ratio(settings.iso.map(|s| iso(s.0)), calibration.iso.map(iso), "ISO")?
-        * ratio(settings.aperture.map(|n| aperture(n.0)), calibration.aperture.map(aperture), "aperture")?;
+    let (gain, _) = flash_ratio(&pair.name, &pair.on.settings, calibration, scale)?;
     Ok(Lamp {
         ring: calibration.ring,
         radiance: calibration.radiance.map(|r| r * gain),
         field: calibration.field,
     })
+}
+
+/// The flash's light at these settings over that at the calibration's, and where that comes from: the room's light goes
+/// with t ISO / N^2, the flash's with ISO / N^2 alone, because a flash is over before the shutter closes.
+pub(super) fn flash_ratio(
+    name: &str,
+    settings: &Settings,
+    calibration: &FlashCalibration,
+    scale: &SessionScale,
+) -> Result<(f64, ScaleSource), DevelopError> {
+    let unknown = |setting| DevelopError::Unknown { name: name.to_owned(), setting };
+    let ratio = |now: Option<f64>, then: Option<f64>, setting| match (now, then) {
+        (Some(now), Some(then)) => Ok(now / then),
+        (None, None) => Ok(1.0),
+        _ => Err(unknown(setting)),
+    };
+    let then = of_calibration(calibration, settings);
+    let table = scale
+        .between(settings, &then)
+        .map_err(|source| DevelopError::Ratio { name: name.to_owned(), source: source.into() })?;
+    let (iso, aperture) = (|v| table.gain(v), |v| table.aperture(v));
+    let gain = ratio(settings.iso.map(iso), then.iso.map(iso), "ISO")?
+        * ratio(settings.aperture.map(aperture), then.aperture.map(aperture), "aperture")?;
+    Ok((gain, table.source(settings, &then)))
 }

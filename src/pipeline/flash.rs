@@ -12,8 +12,9 @@ use crate::light::{Ring, RingError};
 use crate::pair::{FlashRecord, FrameRecord, PairRecord, Settings};
 use crate::photometry::{IsolateError, NoNoise, NoiseGauge};
 use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::develop::{DevelopError, room_ratio};
 use crate::pipeline::levels;
-use crate::pipeline::scale::{RatioError, SessionScale};
+use crate::pipeline::scale::SessionScale;
 use crate::pipeline::scene;
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Distortion, Intrinsics};
@@ -47,13 +48,8 @@ pub enum FlashError {
         setting: &'static str,
     },
     /// The frames of a shot cannot be scaled to each other.
-    #[error("{label}: {source}")]
-    Ratio {
-        /// File.
-        label: String,
-        /// Why.
-        source: RatioError,
-    },
+    #[error(transparent)]
+    Develop(#[from] DevelopError),
     /// A shot cannot be decoded.
     #[error(transparent)]
     Raw(#[from] RawError),
@@ -177,9 +173,7 @@ pub fn calibrate(
         let label = label(&shot.on);
         let room = match &off {
             Some(off) => {
-                let ratio = scale
-                    .room_ratio(&on.settings, &off.settings)
-                    .map_err(|source| FlashError::Ratio { label: label.clone(), source })?;
+                let ratio = room_ratio(&label, &scale, [&on.settings, &off.settings])?;
                 Some((&off.mosaic, ratio))
             }
             None => None,

@@ -199,6 +199,7 @@ mod tests {
             setting,
             shared: Default::default(),
             steps: steps.map(step).to_vec(),
+            step_00_dn: 400.0,
             repeat_sd: None,
             summary: none,
             between_steps: none,

@@ -72,9 +72,13 @@ fn every_calibration_prints_its_record_alone_with_names_that_say_quantity_and_un
     {
         assert_eq!(ladder["setting"], setting);
         for step in ladder["steps"].as_array().unwrap() {
-            ["label", "step_thirds", "factor", "deviation"].map(|field| number(step, field));
+            for field in ["label", "step_thirds", "factor", "deviation"] {
+                number(step, field);
+            }
         }
-        ["mean", "max", "min", "sd"].map(|field| number(&ladder["summary"], field));
+        for field in ["mean", "max", "min", "sd"] {
+            number(&ladder["summary"], field);
+        }
     }
 
     let flat = all("flat", birdbath((0..9).map(|k| format!("linearity/{k:02}_0.dng"))));

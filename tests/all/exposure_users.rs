@@ -8,7 +8,7 @@ use unlit::calibration::{FlashCalibration, Plane, Target};
 use unlit::pair::{Exposure, Limits, PairRecord, Plan, ReasonCode, Verdict};
 use unlit::pipeline::calibrate::{colour, exposure};
 use unlit::pipeline::develop::{self, DevelopError};
-use unlit::pipeline::flash::{self, CardFacts, CardFiles, FlashError};
+use unlit::pipeline::flash::{self, CardFacts, CardFiles};
 use unlit::pipeline::pairs;
 use unlit::progress::Progress;
 use unlit::session::Session;
@@ -153,7 +153,6 @@ fn a_table_of_another_body_is_refused_by_everything_that_scales_and_not_where_no
         focal_px: Some(200.0),
     };
     let error = flash::calibrate(&session, &[card], &facts, &Progress::silent()).unwrap_err();
-    assert!(matches!(error, FlashError::Ratio { .. }), "{error}");
     says(error.to_string());
     // A colour chart with an unlit frame of another exposure.
     let chart = colour::ChartShot { on, off: Some(off), chart: None, corners: None };

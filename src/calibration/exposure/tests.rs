@@ -141,9 +141,14 @@ fn without_noise_the_figures_are_those_of_the_table_by_hand() {
     assert!((mean - 0.0).abs() < 1e-12 && (max - 0.03).abs() < 1e-12 && (min - 0.01).abs() < 1e-12);
     assert!((sd - (0.0014f64 / 2.0).sqrt()).abs() < 1e-12, "{sd}");
     assert!((ladder.between_steps.max - (1.02 / 0.97 - 1.0)).abs() < 1e-12);
+    assert!((ladder.step_00_dn - 400.0).abs() < 1e-9, "{}", ladder.step_00_dn);
     assert!(ladder.repeat_sd.is_none());
-    let verdict = verdict(&fit);
-    assert!(verdict.good && verdict.sentences[0].contains("f/18"), "{verdict:?}");
+    let told = verdict(&fit);
+    assert!(told.good && told.sentences[0].contains("f/18"), "{told:?}");
+    assert!(!told.sentences.iter().any(|s| s.contains("black level")), "{told:?}");
+    let mut dim = fit.clone();
+    dim.ladders[0].step_00_dn = 125.0;
+    assert!(verdict(&dim).sentences.iter().any(|s| s.contains("125 DN above black") && s.contains("0.80 %")));
     // As it is kept.
     let json = serde_json::to_value(&fit).unwrap();
     assert_eq!(json["ladders"][0]["setting"], "aperture");
