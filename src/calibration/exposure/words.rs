@@ -11,7 +11,8 @@ const BLACK: f64 = 0.003;
 const PATTERN: f64 = 0.005;
 
 /// Whether the table can be relied on, and what is odd about it.
-pub fn verdict(fit: &ExposureFit) -> Verdict {
+/// `black_known`: whether black is measured, by dark frames or masked pixels, and not taken from a tag or a table.
+pub fn verdict(fit: &ExposureFit, black_known: bool) -> Verdict {
     let mut sentences = vec![];
     let mut good = true;
     for ladder in &fit.ladders {
@@ -44,21 +45,20 @@ pub fn verdict(fit: &ExposureFit) -> Verdict {
                 100.0 * pattern
             ));
         }
-        let shift = 1.0 / ladder.step_00_dn;
-        if shift > BLACK {
-            sentences.push(format!(
-                "{name}: the darkest step lies {:.0} DN above black, so that a black level wrong by 1 DN would shift the \
-                 deviations by {:.2} %; measure it with `unlit calibrate levels`, or take more light.",
-                ladder.step_00_dn,
-                100.0 * shift
-            ));
-        }
         let hidden = ladder.steps.iter().filter(|step| step.frame_share < 0.999).count();
         if hidden > 0 {
             sentences.push(format!(
                 "{name}: {hidden} steps are over-exposed in part and were measured on the rest of the frame."
             ));
         }
+    }
+    let darkest = fit.ladders.iter().map(|ladder| ladder.step_00_dn).fold(f64::INFINITY, f64::min);
+    if !black_known && 1.0 / darkest > BLACK {
+        sentences.push(format!(
+            "Black is not measured, and the darkest step lies but {darkest:.0} DN above it: 1 DN of error would shift \
+             deviations by {:.2} %; shoot dark frames first (`unlit calibrate levels`), or take more light.",
+            100.0 / darkest
+        ));
     }
     if fit.ladders.iter().any(|ladder| ladder.repeat_sd.is_none()) {
         sentences.push(

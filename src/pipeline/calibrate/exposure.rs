@@ -5,6 +5,7 @@ use crate::calibration::Record;
 use crate::calibration::exposure::{ExposureFit, ExposureFitError, fit_exposure, verdict};
 use crate::calibration::tiles::{EvenFrame, Tiles, TooSmall};
 use crate::export::chart::{Chart, Series as Points};
+use crate::photometry::LevelSource;
 use crate::progress::Progress;
 use crate::session::Session;
 use std::path::PathBuf;
@@ -39,17 +40,19 @@ pub fn calibrate(
     progress: &Progress,
 ) -> Result<Record<ExposureFit>, ExposureError> {
     let mut series = Series::new(session, KIND)?;
-    let mut read = vec![];
+    let (mut read, mut black_known) = (vec![], true);
     for (done, path) in shots.iter().enumerate() {
         progress.check().map_err(SeriesError::from)?;
         progress.report("reading the ladders", done, shots.len());
         let photo = series.read(path)?;
+        let black = photo.mosaic.levels.black_source;
+        black_known &= matches!(black, LevelSource::Measured | LevelSource::MaskedPixels);
         let small = |source| ExposureError::TooSmall { path: path.clone(), source };
         let tiles = Tiles::of(&photo.mosaic).map_err(small)?;
         read.push(EvenFrame { settings: photo.settings, tiles });
     }
     let (fit, left_out) = fit_exposure(&read)?;
-    let verdict = verdict(&fit);
+    let verdict = verdict(&fit, black_known);
     for (shot, why) in left_out.into_iter().enumerate() {
         if let Some(why) = why {
             series.leave_out(shot, why);
