@@ -178,6 +178,7 @@ mod tests {
     use crate::calibration::exposure::{Ladder, Setting, Step, Summary};
     use crate::calibration::{SCHEMA, Verdict};
     use crate::units::Seconds;
+    use serde_json::json;
 
     fn at(model: &str, iso: f64) -> Settings {
         Settings { model: Some(model.into()), iso: Some(Iso(iso)), ..Settings::default() }
@@ -283,6 +284,41 @@ mod tests {
         let table = scale.of(&through("85 mm", 9.0)).unwrap();
         let source = table.source(&through("85 mm", 9.0), &through("85 mm", 11.0));
         assert_eq!(source, ScaleSource::Nominal, "and it is told");
+    }
+
+    #[test]
+    fn pairs_are_counted_by_where_their_ratios_come_from() {
+        let frame = |iso: f64| {
+            let settings = serde_json::to_value(at("A", iso)).unwrap();
+            json!({ "file": "f", "original_name": "f", "bytes": 1, "blake3": "00", "settings": settings })
+        };
+        let pair = |name: &str, off: f64, on: f64| -> PairRecord {
+            let (off, on) = (frame(off), frame(on));
+            let told = json!({
+                "number": 1, "name": name, "verdict": "accepted", "reasons": [], "off": off, "on": on,
+            });
+            serde_json::from_value(told).unwrap()
+        };
+        let calibration: FlashCalibration = serde_json::from_value(json!({
+            "ring": { "inner": 0.035, "outer": 0.085 }, "radiance": [1.0, 1.0, 1.0],
+            "field": { "coefficients": [0.0, 0.0, 0.0] }, "noise": { "gain": 0.3, "floor": 10.0 },
+            "target_reflectance": 0.94, "iso": 100.0, "aperture": null, "cards": [], "rms": 0.0,
+        }))
+        .unwrap();
+        // Alike; two steps; unlike the flash calibration; a label that was not measured.
+        let pairs = [("a", 100.0, 100.0), ("b", 200.0, 100.0), ("c", 200.0, 200.0), ("d", 400.0, 100.0)];
+        let pairs = pairs.map(|(name, off, on)| pair(name, off, on));
+        let of = |scale: SessionScale| scale.ratios(pairs.iter(), &calibration);
+        let ratios = of(SessionScale { record: Some(record(true)) });
+        assert_eq!(
+            (ratios.measured, ratios.by_labels),
+            (vec!["b".into(), "c".into()], vec!["d".to_string()])
+        );
+        assert!(ratios.table.unwrap().good);
+        let ratios = of(SessionScale { record: Some(record(false)) });
+        assert_eq!((ratios.measured.len(), ratios.by_labels.len()), (0, 3));
+        assert!(!ratios.table.unwrap().good);
+        assert_eq!(of(SessionScale::default()).table, None);
     }
 
     #[test]
