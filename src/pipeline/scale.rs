@@ -175,8 +175,7 @@ impl Ratios {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibration::exposure::{Ladder, Setting, Step, Summary};
-    use crate::calibration::{SCHEMA, Verdict};
+    use crate::calibration::SCHEMA;
     use crate::units::Seconds;
     use serde_json::json;
 
@@ -184,40 +183,30 @@ mod tests {
         Settings { model: Some(model.into()), iso: Some(Iso(iso)), ..Settings::default() }
     }
 
+    /// A table of ISO 100 to 200 and f/11 to f/9.
     fn record(good: bool) -> Record<ExposureFit> {
-        let step = |(label, deviation): (f64, f64)| Step {
-            label,
-            step_thirds: 0.0,
-            factor: 1.0,
-            deviation,
-            deviation_95: [deviation; 2],
-            shots: 1,
-            frame_share: 1.0,
-            pattern_sd: 0.0,
+        let none = json!({ "mean": 0.0, "max": 0.0, "min": 0.0, "sd": 0.0 });
+        let ladder = |setting: &str, steps: [(f64, f64); 3]| {
+            let step = |(label, deviation): (f64, f64)| {
+                json!({
+                    "label": label, "step_thirds": 0.0, "factor": 1.0, "deviation": deviation,
+                    "deviation_95": [deviation, deviation], "shots": 1, "frame_share": 1.0, "pattern_sd": 0.0,
+                })
+            };
+            json!({
+                "setting": setting, "shared": {}, "steps": steps.map(step), "step_00_dn": 400.0,
+                "summary": none, "between_steps": none,
+            })
         };
-        let none = Summary { mean: 0.0, max: 0.0, min: 0.0, sd: 0.0 };
-        let ladder = |setting, steps: [(f64, f64); 3]| Ladder {
-            setting,
-            shared: Default::default(),
-            steps: steps.map(step).to_vec(),
-            step_00_dn: 400.0,
-            repeat_sd: None,
-            summary: none,
-            between_steps: none,
-        };
-        let ladders = vec![
-            ladder(Setting::Iso, [(100.0, 0.0), (125.0, 0.01), (200.0, 0.02)]),
-            ladder(Setting::Aperture, [(11.0, 0.0), (10.0, 0.01), (9.0, 0.04)]),
-        ];
-        Record {
-            schema: SCHEMA,
-            measured: "2026-11-23T10:00:00Z".into(),
-            software: String::new(),
-            rig: Rig { lens: Some("50 mm".into()), ..Rig::of(&at("A", 100.0)) },
-            shots: vec![],
-            verdict: Verdict { good, sentences: vec![] },
-            fit: ExposureFit { ladders },
-        }
+        serde_json::from_value(json!({
+            "schema": SCHEMA, "measured": "2026-11-23T10:00:00Z", "software": "", "shots": [],
+            "rig": { "model": "A", "lens": "50 mm" }, "verdict": { "good": good, "sentences": [] },
+            "ladders": [
+                ladder("iso", [(100.0, 0.0), (125.0, 0.01), (200.0, 0.02)]),
+                ladder("aperture", [(11.0, 0.0), (10.0, 0.01), (9.0, 0.04)]),
+            ],
+        }))
+        .unwrap()
     }
 
     fn near(found: Result<f64, RatioError>, wanted: f64) {
