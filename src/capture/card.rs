@@ -6,6 +6,7 @@ use crate::pair::{Expected, FlashRecord, FrameRecord, Plan, Reason, Window};
 use crate::photometry::levels::MeasuredLevels;
 use crate::pipeline::flash::SHOT_RECORD;
 use crate::pipeline::levels;
+use crate::pipeline::scale::SessionScale;
 use crate::session::{self, Session, SessionError, Stager, store};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -81,6 +82,7 @@ pub(super) struct CardPlace<'a> {
     session: &'a Session,
     distance_m: f64,
     levels: Arc<MeasuredLevels>,
+    scale: SessionScale,
     name: String,
     tag: u32,
     sees_light: bool,
@@ -97,7 +99,8 @@ impl<'a> CardPlace<'a> {
         let tag = u32::try_from(taken.len()).unwrap_or(u32::MAX - 1).saturating_add(1);
         let sees_light = taken.iter().filter_map(|shot| shot.flash.as_ref()).any(FlashRecord::saw_light);
         let levels = Arc::new(levels::load(session)?);
-        Ok(Self { session, distance_m, levels, name, tag, sees_light, stored: None })
+        let scale = SessionScale::load(session)?;
+        Ok(Self { session, distance_m, levels, scale, name, tag, sees_light, stored: None })
     }
 
     /// The shot, once stored.
@@ -170,6 +173,10 @@ impl Place for CardPlace<'_> {
 
     fn levels(&self) -> Arc<MeasuredLevels> {
         self.levels.clone()
+    }
+
+    fn scale(&self) -> &SessionScale {
+        &self.scale
     }
 
     fn expected<'b>(&'b self, _off: &'b str, _on: &'b str, _energy: Option<f64>) -> Expected<'b> {

@@ -7,6 +7,7 @@ use crate::pair::energy::RepeatError;
 use crate::pair::finding::FindingError;
 use crate::photometry::{IsolateError, NoNoise};
 use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::scale::RatioError;
 use crate::pipeline::stops::EarlierError;
 use crate::progress::Cancelled;
 use crate::rig::{CameraError, FlashError};
@@ -89,9 +90,12 @@ pub enum CaptureError {
     /// The figures of a series say nothing.
     #[error(transparent)]
     Series(#[from] RepeatError),
-    /// The session's measured levels.
+    /// A calibration of the session cannot be read.
     #[error(transparent)]
     Levels(RecordError),
+    /// The session's exposure table is another body's.
+    #[error(transparent)]
+    Ratio(#[from] RatioError),
     /// The system gave no thread.
     #[error("the frame could not be checked: no thread to be had ({0}); close other programs")]
     NoThread(std::io::Error),
@@ -128,6 +132,7 @@ impl CaptureError {
             CaptureError::SeriesFrames(_) => "series_frames_differ",
             CaptureError::Series(_) => "series_says_nothing",
             CaptureError::Levels(_) => "levels_unreadable",
+            CaptureError::Ratio(_) => "exposure_table_of_another_body",
             CaptureError::NoThread(_) => "no_thread",
             CaptureError::Place(PlaceError::Session(SessionError::NoRoom { .. })) => "disk_full",
             CaptureError::Place(PlaceError::Session(SessionError::NoSuchPair { .. })) => "pair_not_found",
@@ -149,6 +154,7 @@ impl From<EarlierError> for CaptureError {
     fn from(error: EarlierError) -> Self {
         match error {
             EarlierError::Session(error) => error.into(),
+            EarlierError::Record(error) => CaptureError::Levels(error),
             EarlierError::Cancelled(cancelled) => cancelled.into(),
         }
     }

@@ -275,7 +275,7 @@ impl<'a> Run<'a> {
         if let (Some(window), Ok(photo)) = (self.place.region(), &off) {
             expected.region = Some(window.sites(photo.mosaic.dn.width(), photo.mosaic.dn.height()));
         }
-        let judgement = pairs::judge(&off, &on, &expected, self.limits);
+        let judgement = pairs::judge(&off, &on, &expected, self.place.scale(), self.limits);
         for reason in judgement.reasons {
             if !self.reasons.contains(&reason) {
                 self.reasons.push(reason);

@@ -12,8 +12,10 @@ use crate::light::{Ring, RingError};
 use crate::pair::{FlashRecord, FrameRecord, PairRecord, Settings};
 use crate::photometry::{IsolateError, NoNoise, NoiseGauge};
 use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::develop::{DevelopError, room_ratio};
 use crate::pipeline::levels;
-use crate::pipeline::{develop::exposure_ratio, scene};
+use crate::pipeline::scale::SessionScale;
+use crate::pipeline::scene;
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Distortion, Intrinsics};
 use crate::session::{Session, SessionError, store};
@@ -45,6 +47,9 @@ pub enum FlashError {
         /// Which.
         setting: &'static str,
     },
+    /// The frames of a shot cannot be scaled to each other.
+    #[error(transparent)]
+    Develop(#[from] DevelopError),
     /// A shot cannot be decoded.
     #[error(transparent)]
     Raw(#[from] RawError),
@@ -149,7 +154,7 @@ pub fn calibrate(
     progress: &Progress,
 ) -> Result<Record<FlashCalibration>, FlashError> {
     let ring = Ring::new(facts.ring_radii[0], facts.ring_radii[1])?;
-    let measured = levels::load(session)?;
+    let (measured, scale) = (levels::load(session)?, SessionScale::load(session)?);
     let mut series = Series::new(session, KIND)?;
     let (mut cards, mut numbers, mut first) = (vec![], vec![], None::<Settings>);
     let (mut gauge, mut rooms) = (NoiseGauge::default(), HashSet::new());
@@ -168,8 +173,7 @@ pub fn calibrate(
         let label = label(&shot.on);
         let room = match &off {
             Some(off) => {
-                let ratio = exposure_ratio(&on.settings, &off.settings)
-                    .map_err(|setting| FlashError::Settings { label: label.clone(), setting })?;
+                let ratio = room_ratio(&label, &scale, [&on.settings, &off.settings])?;
                 Some((&off.mosaic, ratio))
             }
             None => None,

@@ -15,6 +15,7 @@ pub mod pairs;
 pub mod photos;
 pub mod process;
 mod report;
+pub mod scale;
 pub mod scene;
 mod solve;
 pub mod steadiness;

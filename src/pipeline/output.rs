@@ -44,6 +44,7 @@ pub(super) fn summarise(inputs: &Inputs, texture: &Texture, size: usize) -> Proc
             .map(|(p, _)| p.name.clone())
             .zip(texture.gains.iter().copied())
             .collect(),
+        ratios: inputs.scale.ratios(inputs.matched.iter().map(|(p, _)| p.as_ref()), &inputs.calibration),
         blur: texture.blur,
         gloss: texture.bounces.gloss.clone(),
         costs: vec![],

@@ -1,12 +1,12 @@
 //! `process`: a session's accepted pairs to reflectance texture, deviations, view counts and model.
 
-use super::calibrate::exposure::SessionScale;
 use super::cost::Cost;
 use super::develop::DevelopError;
 use super::energy::{self, EnergyError, FlashAccount};
 use super::flash::{self, FlashError};
 use super::manifest::{StageManifest, digest};
 use super::memory::Needs;
+use super::scale::{Ratios, SessionScale};
 use super::scene::{self, SceneError};
 use super::{output, solve, uvs};
 use crate::calibration::{FlashCalibration, Record};
@@ -69,6 +69,9 @@ pub struct ProcessSummary {
     pub runs: Vec<Run>,
     /// Energy of each pair's pulse against the calibration's, by pair, as texture and measurement tell together.
     pub gains: BTreeMap<String, FlashGain>,
+    /// By what exposures were scaled to each other.
+    #[serde(default)]
+    pub ratios: Ratios,
     /// Standard deviation of the lens's blur by channel, pixels, as the photographs tell.
     pub blur: [f32; 3],
     /// Pieces that the texture was solved in, for want of memory for all views at once.

@@ -164,6 +164,7 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
         let span = format!("{} to {}, the camera's clock", moment(first), moment(last));
         facts.push(fact("Photographed", span));
     }
+    facts.push(fact("Exposures scaled", told.summary.ratios.words()));
     let [a1, a2, a3] = fit.field.coefficients;
     let radiance = match fit.radiance_error {
         Some(error) => format!("{} DN, standard error {} DN", three(fit.radiance, 0), three(error, 0)),
@@ -324,6 +325,7 @@ mod tests {
             rounds: vec![Round { mean_change: 0.002 }],
             runs: vec![],
             gains: Default::default(),
+            ratios: Default::default(),
             blur: [0.9; 3],
             gloss: vec![None],
             pieces: 1,
@@ -371,6 +373,7 @@ mod tests {
             "0.37 %",
             "card-far.dng",
             "rejected: &lt;the vase moved&gt;",
+            "no exposure table was measured",
             "camera RGB, uncalibrated",
             "reflectance.exr",
         ] {

@@ -121,6 +121,9 @@ impl From<DeskError> for Problem {
             DeskError::Thumbnail(ThumbnailError::Disk { .. }) => {
                 (StatusCode::INTERNAL_SERVER_ERROR, "disk_failed")
             }
+            DeskError::Thumbnail(ThumbnailError::Record(_)) => {
+                (StatusCode::INTERNAL_SERVER_ERROR, "session_unreadable")
+            }
             DeskError::Thumbnail(_) => (StatusCode::UNPROCESSABLE_ENTITY, "frame_unreadable"),
         };
         Problem::new(status, code, error)

@@ -10,7 +10,7 @@ use crate::codec::png::{PngError, encode_rgb8};
 use crate::export::chart::{Chart, Series as Points};
 use crate::export::colour::{ACESCG, LINEAR_SRGB, PCS_WHITE, Space, adapt};
 use crate::pair::Settings;
-use crate::pipeline::develop::exposure_ratio;
+use crate::pipeline::scale::{RatioError, SessionScale};
 use crate::progress::{Cancelled, Progress};
 use crate::session::Session;
 use crate::units::{FNumber, Iso, Seconds};
@@ -42,15 +42,13 @@ pub enum ColourCalibrationError {
         /// What does not fit.
         source: FramesDiffer,
     },
-    /// One frame of two tells a setting.
-    #[error("only one of {} and {} tells its {setting}; give raw files as the camera wrote them", on.display(), off.display())]
-    Untold {
+    /// Lit and unlit frame cannot be scaled to each other.
+    #[error("{}: {source}", path.display())]
+    Ratio {
         /// The lit frame.
-        on: PathBuf,
-        /// The unlit frame.
-        off: PathBuf,
-        /// What is missing.
-        setting: &'static str,
+        path: PathBuf,
+        /// Why.
+        source: RatioError,
     },
     /// The picture of the patches.
     #[error(transparent)]
@@ -112,14 +110,15 @@ pub fn calibrate(
     let on = series.read(&shot.on)?;
     progress.check()?;
     let off = shot.off.as_deref().map(|path| series.read(path)).transpose()?;
-    let pair = match (&off, &shot.off) {
-        (Some(photo), Some(path)) => {
-            let scale = exposure_ratio(&on.settings, &photo.settings).map_err(|setting| {
-                ColourCalibrationError::Untold { on: shot.on.clone(), off: path.clone(), setting }
-            })?;
-            Some((&photo.mosaic, scale as f32))
+    let pair = match &off {
+        Some(photo) => {
+            let scale = SessionScale::load(session).map_err(SeriesError::from)?;
+            let ratio = scale
+                .room_ratio(&on.settings, &photo.settings)
+                .map_err(|source| ColourCalibrationError::Ratio { path: shot.on.clone(), source })?;
+            Some((&photo.mosaic, ratio as f32))
         }
-        _ => None,
+        None => None,
     };
     let differ = |source| ColourCalibrationError::Differ {
         path: shot.off.clone().unwrap_or_else(|| shot.on.clone()),
