@@ -58,7 +58,7 @@ fn black_and_saturation_of_the_bird_baths_camera_are_exact_and_what_never_clips_
         }
     }
     let said = record["verdict"]["sentences"].to_string();
-    assert!(said.contains("red and blue never clips"), "{said}");
+    assert!(said.contains("red and blue never clip "), "{said}");
     assert!(std::path::Path::new(&session).join("calibration/levels.svg").is_file());
     // Frames are read with it.
     let told =

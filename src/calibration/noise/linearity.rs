@@ -281,7 +281,7 @@ mod tests {
     #[test]
     fn knees_of_a_thousand_random_sensors_are_found_and_straight_ones_have_none() {
         let mut random = ChaCha8Rng::seed_from_u64(23);
-        let (mut invented, mut missed, mut off, mut inside, mut all) = (0, 0, 0, 0, 0);
+        let (mut invented, mut missed, mut off, mut inside, mut all) = (0, 0, 0, 0.0, 0.0);
         for number in 0..1000 {
             let step: f64 = 0.2 + 0.5 * random.random::<f64>();
             // Levels scatter by up to 0.5 % of themselves.
@@ -315,12 +315,12 @@ mod tests {
             }
             if !bent {
                 for s in fit.steps.iter().filter(|s| s.signal_dn > FROM * RANGE[0]) {
-                    all += 1;
-                    inside += usize::from(s.deviation.abs() < 1.96 * s.deviation_error);
+                    all += 1.0;
+                    inside += f64::from(u8::from(s.deviation.abs() < 1.96 * s.deviation_error));
                 }
             }
         }
-        let covered = f64::from(inside) / f64::from(all);
+        let covered: f64 = inside / all;
         println!("invented {invented}, missed {missed}, off {off}, deviations {covered} of {all}");
         assert!(invented <= 10 && missed <= 5 && off <= 25, "{invented} {missed} {off}");
         assert!((0.90..=0.98).contains(&covered), "{covered}");

@@ -33,7 +33,7 @@ use crate::photometry::{LevelSource, NoiseModel};
 use crate::units::Iso;
 use figures::ReadNoise;
 use serde::{Deserialize, Serialize};
-use transfer::{Line, Point};
+use transfer::Point;
 
 /// Colours in the order of their numbers.
 const COLOURS: [&str; 3] = ["red", "green", "blue"];
