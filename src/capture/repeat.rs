@@ -109,8 +109,15 @@ impl Engine {
         }
         let measured = levels::load(session).map_err(CaptureError::Levels)?;
         let window = session.manifest().region.unwrap_or(MIDDLE);
-        let mut series =
-            Series { session, measured: &measured, window, left_out: 0, remarks: vec![], first: None, files: HashSet::new() };
+        let mut series = Series {
+            session,
+            measured: &measured,
+            window,
+            left_out: 0,
+            remarks: vec![],
+            first: None,
+            files: HashSet::new(),
+        };
         let mut bench = self.take_bench();
         let mut hands = Hands { bench: &mut bench, prompter: self.prompter(), progress };
         let taken = self.take_series(&mut hands, &mut series, shots);

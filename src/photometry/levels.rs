@@ -99,7 +99,10 @@ impl MeasuredLevels {
 }
 
 fn body(model: &str, serial: Option<&str>) -> String {
-    serial.map_or_else(|| model.trim().to_owned(), |serial| format!("{} (serial {})", model.trim(), serial.trim()))
+    serial.map_or_else(
+        || model.trim().to_owned(),
+        |serial| format!("{} (serial {})", model.trim(), serial.trim()),
+    )
 }
 
 /// Gives the frame the best levels known. A source is named [`LevelSource::Measured`] only where all four positions
@@ -204,7 +207,10 @@ mod tests {
         assert!(iso.contains("measured at ISO 100, not at ISO 200"), "{iso}");
         let serial = not_used(Origin { serial: Some("18"), ..body(100.0) });
         assert!(matches!(serial, Unmeasured::OtherBody { .. }));
-        assert!(serial.to_string().contains("(serial 17), this frame is of Canon EOS 5DS (serial 18)"), "{serial}");
+        assert!(
+            serial.to_string().contains("(serial 17), this frame is of Canon EOS 5DS (serial 18)"),
+            "{serial}"
+        );
         let model = not_used(of("Canon EOS 6D", 100.0));
         assert!(matches!(model, Unmeasured::OtherBody { .. }));
         assert_eq!(not_used(Origin { model: None, ..body(100.0) }), Unmeasured::Untold("camera model"));

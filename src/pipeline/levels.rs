@@ -43,7 +43,9 @@ pub fn remark(measured: &MeasuredLevels, settings: &Settings) -> Option<String> 
 /// Refuses a frame of another body than the one that was measured.
 pub(super) fn same_body(measured: &MeasuredLevels, settings: &Settings, what: &str) -> Result<(), RawError> {
     match measured.find(origin(settings)) {
-        Err(source @ Unmeasured::OtherBody { .. }) => Err(RawError::OtherBody { what: what.to_owned(), source }),
+        Err(source @ Unmeasured::OtherBody { .. }) => {
+            Err(RawError::OtherBody { what: what.to_owned(), source })
+        }
         _ => Ok(()),
     }
 }

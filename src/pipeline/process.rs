@@ -340,7 +340,17 @@ impl Inputs {
             parts.push(format!("without {}: {}", left.name, left.why).into_bytes());
         }
         let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
-        Ok(Self { calibration, scale, scene, matched, left_out, remarks, flash, uvs: Default::default(), key })
+        Ok(Self {
+            calibration,
+            scale,
+            scene,
+            matched,
+            left_out,
+            remarks,
+            flash,
+            uvs: Default::default(),
+            key,
+        })
     }
 
     /// The energy of a pair's pulse against the calibration's.

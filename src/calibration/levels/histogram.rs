@@ -50,7 +50,11 @@ impl Histogram {
     /// Values with their counts, those that occur.
     pub(super) fn occurring(&self) -> impl Iterator<Item = (f64, u64)> + '_ {
         let base = f64::from(self.base);
-        self.filled.clone().map(|i| (i, self.counts[i])).filter(|(_, n)| *n > 0).map(move |(i, n)| (base + i as f64, n))
+        self.filled
+            .clone()
+            .map(|i| (i, self.counts[i]))
+            .filter(|(_, n)| *n > 0)
+            .map(move |(i, n)| (base + i as f64, n))
     }
 
     /// The value below which a share of all lies, values taken as spread evenly over one unit.

@@ -170,8 +170,7 @@ impl IsoSums {
 
     /// The levels that come of it.
     pub fn levels(&self) -> IsoLevels {
-        let dark: Option<[Option<Centre>; 4]> =
-            self.dark.as_ref().map(Dark::centres);
+        let dark: Option<[Option<Centre>; 4]> = self.dark.as_ref().map(Dark::centres);
         let masked = self.masked.map(|sums| sums.black());
         let black_source = match (&dark, masked[0]) {
             (Some(_), _) => Some(BlackSource::DarkFrames),
@@ -180,9 +179,11 @@ impl IsoSums {
         };
         let site = |position: usize| {
             let (row, column) = POSITIONS[position];
-            let own = self.dark.as_ref().zip(dark).and_then(|(sums, centres)| {
-                Some(sums.black(position, centres[position]?))
-            });
+            let own = self
+                .dark
+                .as_ref()
+                .zip(dark)
+                .and_then(|(sums, centres)| Some(sums.black(position, centres[position]?)));
             let black = own.or(masked[position]);
             let (noise, below) = match self.dark.as_ref().and_then(|sums| sums.read_noise(position)) {
                 Some(ReadNoise::Told(noise)) => (Some(noise), None),

@@ -94,7 +94,7 @@ fn black_and_read_noise_of_a_thousand_random_sensors_lie_in_their_intervals() {
 fn read_noise_that_rounding_hides_is_bounded_and_not_told() {
     let mut random = ChaCha8Rng::seed_from_u64(8);
     let mut sums = IsoSums::new(Iso(100.0), Cfa::RGGB);
-    let normal = Normal::new(0.0, 0.2).unwrap();
+    let normal = Normal::new(0.0f64, 0.2).unwrap();
     for _ in 0..2 {
         let dn = Image::from_fn(80, 60, |_, _| (2048.3 + normal.sample(&mut random)).round() as u16);
         sums.add_dark(&frame(dn)).unwrap();

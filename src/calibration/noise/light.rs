@@ -61,10 +61,7 @@ fn flicker(levels: &[LightLevel], range: [f64; 3]) -> f64 {
 
 /// Light of levels that rise by `stops` from one to the next, relative to the first, and how many levels are missing in
 /// between; `None` for a level in which every colour clips. `signals` ascend.
-fn ladder(
-    signals: &[[Option<Reading>; 3]],
-    stops: f64,
-) -> Result<(Vec<Option<f64>>, usize), NoLinearity> {
+fn ladder(signals: &[[Option<Reading>; 3]], stops: f64) -> Result<(Vec<Option<f64>>, usize), NoLinearity> {
     if !(stops > 0.0 && stops <= 8.0) {
         return Err(NoLinearity::Stops(stops));
     }
@@ -118,8 +115,7 @@ mod tests {
 
     #[test]
     fn a_flicker_that_one_pair_misses_is_told_by_the_others() {
-        let levels: Vec<_> =
-            [0.0, 0.01, 0.0, 0.01].into_iter().map(|part| level(5000.0, part)).collect();
+        let levels: Vec<_> = [0.0, 0.01, 0.0, 0.01].into_iter().map(|part| level(5000.0, part)).collect();
         for reading in readings(&levels, [13_000.0; 3]).iter().flatten().flatten() {
             assert!((reading.error / reading.mean - 0.01 * 0.5f64.sqrt()).abs() < 1e-6, "{reading:?}");
         }

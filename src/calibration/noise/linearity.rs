@@ -149,7 +149,8 @@ fn response(own: &[(f64, Reading)], range: f64, black_error: f64) -> Option<Resp
     let mut straight = own.len();
     let mut deviations = vec![];
     for round in 0..ROUNDS {
-        let deviation = |(light, s): &(f64, Reading)| (s.mean / (slope * light) - 1.0, error(s).hypot(of_slope));
+        let deviation =
+            |(light, s): &(f64, Reading)| (s.mean / (slope * light) - 1.0, error(s).hypot(of_slope));
         deviations = own.iter().map(deviation).collect();
         let bent = |(deviation, error): &(f64, f64)| deviation.abs() > KNEE.max(SURE * error);
         let found = deviations.iter().rposition(|d| !bent(d)).map_or(0, |last| last + 1);
@@ -197,8 +198,7 @@ pub(super) fn fit(
         };
         for (at, ((light, s), (deviation, deviation_error))) in own.iter().zip(deviations).enumerate() {
             let colour = COLOURS[c].to_owned();
-            let step =
-                LinearityStep { light: *light, colour, signal_dn: s.mean, deviation, deviation_error };
+            let step = LinearityStep { light: *light, colour, signal_dn: s.mean, deviation, deviation_error };
             if at < straight && (FROM..=TO).contains(&(s.mean / range[c])) {
                 counting.push((s.mean, deviation));
             }

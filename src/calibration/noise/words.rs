@@ -36,9 +36,9 @@ impl IsoNoise {
                 format!("read noise is {value:.2} electrons (95 %: {low:.2} to {high:.2})")
             }
             _ => match self.read_noise_below_e {
-                Some(bound) => format!(
-                    "read noise is below {bound:.2} electrons: rounding to whole DN hides it"
-                ),
+                Some(bound) => {
+                    format!("read noise is below {bound:.2} electrons: rounding to whole DN hides it")
+                }
                 None => "read noise was not told".to_owned(),
             },
         };

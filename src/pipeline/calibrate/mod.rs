@@ -126,7 +126,15 @@ impl<'a> Series<'a> {
         } else {
             sensor_levels::load(session)?
         };
-        Ok(Self { session, kind, measured, rig: Rig::default(), shots: vec![], paths: vec![], remarks: vec![] })
+        Ok(Self {
+            session,
+            kind,
+            measured,
+            rig: Rig::default(),
+            shots: vec![],
+            paths: vec![],
+            remarks: vec![],
+        })
     }
 
     /// Reads the next shot; it must be of the same body and lens as those before. Its number in the series is the

@@ -129,6 +129,9 @@ pub fn of(session: &Session, settings: &Settings) -> Result<SessionNoise, Record
     if !record.verdict.good {
         return without("its own verdict is that it cannot be relied on; calibrate noise again");
     }
+    if settings.model.is_none() {
+        return without("a frame does not tell its camera model");
+    }
     let Some(iso) = settings.iso else {
         return without("a frame does not tell its ISO");
     };
@@ -282,5 +285,50 @@ fn figure(fit: &NoiseFit, verdict: &Verdict) -> Chart {
         across: format!("signal above black{at}, DN"),
         up: "variance, DN^2".into(),
         series: series.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn of_model(model: &str, iso: f64) -> Settings {
+        Settings { model: Some(model.into()), iso: Some(Iso(iso)), ..Settings::default() }
+    }
+
+    fn keep(session: &Session, good: bool) {
+        let record = json!({
+            "schema": 1, "measured": "", "software": "", "rig": { "model": "A" }, "shots": [],
+            "verdict": { "good": good, "sentences": [] },
+            "noise": [{
+                "iso": 100.0, "pairs": 8, "dark_pairs": 2, "model": { "gain": 0.25, "floor": 2.0 },
+                "electrons_per_dn": 4.0, "electrons_per_dn_interval": [3.9, 4.1], "colours": [],
+                "saturation_source": "measured", "residuals": [], "chi_squared": 1.0, "rejected_share": 0.0,
+                "colours_apart_in_errors": 0.0
+            }]
+        });
+        session.keep(&session.calibration_dir().join("noise.json"), record.to_string().as_bytes()).unwrap();
+    }
+
+    #[test]
+    fn noise_counts_for_its_body_is_scaled_aloud_to_other_isos_and_refused_for_other_bodies() {
+        let folder = tempfile::tempdir().unwrap();
+        let session = Session::create(&folder.path().join("s"), "s").unwrap();
+        assert_eq!(of(&session, &of_model("A", 100.0)).unwrap(), SessionNoise::default());
+        keep(&session, true);
+        let own = of(&session, &of_model("A", 100.0)).unwrap();
+        assert_eq!(own, SessionNoise { model: Some(NoiseModel { gain: 0.25, floor: 2.0 }), remark: None });
+        let scaled = of(&session, &of_model("A", 400.0)).unwrap();
+        assert_eq!(scaled.model, Some(NoiseModel { gain: 1.0, floor: 32.0 }));
+        let remark = scaled.remark.unwrap();
+        assert!(remark.contains("not measured at ISO 400") && remark.contains("from ISO 100"), "{remark}");
+        let refused = of(&session, &of_model("B", 100.0)).unwrap_err().to_string();
+        assert!(refused.contains("its camera model is \"B\"") && refused.contains("noise.json"), "{refused}");
+        let untold = of(&session, &Settings { iso: None, ..of_model("A", 1.0) }).unwrap();
+        assert!(untold.model.is_none() && untold.remark.unwrap().contains("does not tell its ISO"));
+        keep(&session, false);
+        let bad = of(&session, &of_model("A", 100.0)).unwrap();
+        assert!(bad.model.is_none() && bad.remark.unwrap().contains("cannot be relied on"));
     }
 }
