@@ -26,6 +26,16 @@ pub(super) fn shift(noise: f64) -> f64 {
     (-2.0 * (PI * noise).powi(2)).exp() / PI
 }
 
+/// The same by the variance of the rounded values, rounding included, DN^2. Where that is mostly rounding, it does not tell
+/// the noise, and all of half a DN is possible.
+pub(super) fn shift_of(variance: f64) -> f64 {
+    if variance < LEAST_FLOOR {
+        return 0.5;
+    }
+    let square = variance - VARIANCE;
+    shift((square - departure(square.sqrt())).max(0.0).sqrt())
+}
+
 /// By how much, at most, the variance of rounded values of this noise parts from `noise^2 + 1/12`, DN^2.
 pub(super) fn departure(noise: f64) -> f64 {
     (4.0 * noise * noise + 1.0 / (PI * PI)) * (-2.0 * (PI * noise).powi(2)).exp()
@@ -56,11 +66,14 @@ mod tests {
                 let mean = 2048.0 + f64::from(phase) / 40.0;
                 let (found, variance) = rounded(mean, noise);
                 shifted = shifted.max((found - mean).abs());
+                assert!((found - mean).abs() <= shift_of(variance) + 2e-4, "{noise}: {found} for {mean}");
                 parted = parted.max((variance - noise * noise - VARIANCE).abs());
             }
             let near = |found: f64, bound: f64| found <= 1.02 * bound + 2e-4 && found >= 0.9 * bound - 2e-4;
             assert!(near(shifted, shift(noise)), "{noise}: {shifted} against {}", shift(noise));
             assert!(near(parted, departure(noise)), "{noise}: {parted} against {}", departure(noise));
         }
+        let (found, variance) = rounded(2048.45, 0.1);
+        assert!((found - 2048.45).abs() <= shift_of(variance));
     }
 }

@@ -101,7 +101,7 @@ impl Dark {
             0 | 1 => (0.0, 0.0),
             frames => ((squares / (n - 1.0) / n - of_sites).max(0.0), t_975(frames - 1)),
         };
-        let shift = rounding::shift((centre.variance - rounding::VARIANCE).max(0.0).sqrt());
+        let shift = rounding::shift_of(centre.variance);
         let reach = (Z95 * Z95 * of_sites + quantile * quantile * excess).sqrt() + shift;
         Known {
             value: centre.mean,

@@ -104,7 +104,7 @@ fn read_noise_that_rounding_hides_is_bounded_and_not_told() {
     assert_eq!((site.read_noise_dn, site.read_noise_below_dn), (None, Some(0.4)));
     // The mean of rounded values lies at 2048.16; its interval knows.
     let [low, high] = site.black_interval_dn.unwrap();
-    assert!((low..=high).contains(&2048.3) && high - low < 0.6, "{site:?}");
+    assert!((low..=high).contains(&2048.3) && high - low < 1.1, "{site:?}");
     assert!(fit.verdict().sentences[0].contains("read noise below 0.40 DN"), "{:?}", fit.verdict());
 }
 
