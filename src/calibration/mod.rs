@@ -8,6 +8,7 @@ pub mod levels;
 mod linear;
 pub mod noise;
 mod record;
+mod rounding;
 mod steadiness;
 pub mod tiles;
 

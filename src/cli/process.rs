@@ -70,6 +70,7 @@ pub(super) fn run(args: &Args) -> CliResult {
     for left in &summary.left_out {
         println!("left out {}: {}", left.name, left.why);
     }
+    summary.remarks.iter().for_each(|remark| println!("{remark}"));
     for mesh in &summary.turned {
         println!("{mesh} was seen from behind; its triangles were turned to face the cameras");
     }

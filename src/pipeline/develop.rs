@@ -9,7 +9,8 @@ use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{
     FlashGain, IsolateError, Known, KnownMosaic, NoiseModel, RoomLight, demosaic, isolate, isolate_mean,
 };
-use crate::pipeline::calibrate::{self, RecordError};
+use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::calibrate::noise::SessionNoise;
 use crate::pipeline::levels;
 use crate::pipeline::scale::{RatioError, SessionScale, of_calibration};
 use crate::reflectance::observe::Lamp;
@@ -78,14 +79,33 @@ pub fn known_light(
 
 /// The flash's own light of a pair on sensor sites, at whatever energy the pulse had. Of several frames without flash
 /// the mean is taken off: as [`order`](crate::pair::order) has them, every slope of the room's light cancels in it.
-/// Variances are those of the session's noise calibration, where it is of this body and ISO, else the flash calibration's.
+/// Variances are those of the session's noise calibration, else the flash calibration's, scaled to the pair's ISO.
 pub fn known_sites(
     session: &Session,
     pair: &PairRecord,
     calibration: &FlashCalibration,
 ) -> Result<KnownMosaic, DevelopError> {
-    let noise = calibrate::noise::model(session, &pair.on.settings)?.unwrap_or(calibration.noise);
+    let noise = noise_of(session, &pair.on.settings, calibration)?.model.unwrap_or(calibration.noise);
     isolated_sites(session, pair, &levels::load(session)?, &noise)
+}
+
+/// Noise of frames of these settings: the session's own, else the flash calibration's. What was measured at another ISO is
+/// scaled, and said.
+pub(super) fn noise_of(
+    session: &Session,
+    settings: &Settings,
+    calibration: &FlashCalibration,
+) -> Result<SessionNoise, RecordError> {
+    let own = calibrate::noise::of(session, settings)?;
+    let (Some(from), Some(to)) = (calibration.iso.map(Iso), settings.iso) else { return Ok(own) };
+    if own.model.is_some() || from == to {
+        return Ok(own);
+    }
+    let said = format!(
+        "Variances at {to} are scaled from the flash calibration's {from}, an upper bound; `unlit calibrate noise` with frames at {to} tells the true ones."
+    );
+    let remark = own.remark.map_or_else(|| said.clone(), |before| format!("{before} {said}"));
+    Ok(SessionNoise { model: Some(calibration.noise.at_iso(from, to)), remark: Some(remark) })
 }
 
 /// The same with the sensor's saturation and noise as given.

@@ -188,7 +188,9 @@ pub fn calibrate(
     let settings = first.ok_or(FlashError::NoShots)?;
     let size = cards.first().map(|c| c.size).ok_or(FlashError::NoShots)?;
     progress.report("fitting the flash", 0, 1);
-    let noise = match calibrate::noise::model(session, &settings)? {
+    let own = calibrate::noise::of(session, &settings)?;
+    own.remark.into_iter().for_each(|remark| series.remark(remark));
+    let noise = match own.model {
         Some(measured) => measured,
         None => gauge.fit()?,
     };

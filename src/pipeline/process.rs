@@ -1,9 +1,10 @@
 //! `process`: a session's accepted pairs to reflectance texture, deviations, view counts and model.
 
 use super::cost::Cost;
-use super::develop::DevelopError;
+use super::develop::{DevelopError, noise_of};
 use super::energy::{self, EnergyError, FlashAccount};
 use super::flash::{self, FlashError};
+use super::levels;
 use super::manifest::{StageManifest, digest};
 use super::memory::Needs;
 use super::scale::{Ratios, SessionScale};
@@ -25,7 +26,7 @@ use crate::reflectance::unwrap::{UnwrapError, UvChoice, UvSource};
 use crate::scene::{Camera, Mesh, Scene};
 use crate::session::{Session, SessionError, store};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -55,6 +56,9 @@ pub struct ProcessSummary {
     pub used: Vec<String>,
     /// Pairs that did not, with the reason.
     pub left_out: Vec<LeftOut>,
+    /// Which calibrations count only in part for these pairs, and why.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub remarks: Vec<String>,
     /// Side of the texture.
     pub texture_size: usize,
     /// Share of the object's texels that at least one view sees.
@@ -218,6 +222,8 @@ pub(super) struct Inputs {
     /// Accepted pairs with their cameras, by name.
     pub(super) matched: Vec<(Arc<PairRecord>, Camera)>,
     pub(super) left_out: Vec<LeftOut>,
+    /// Which calibrations count only in part, and why.
+    pub(super) remarks: Vec<String>,
     /// The flash over the session.
     pub(super) flash: FlashAccount,
     /// Where the object's texture coordinates were asked to come from, and did.
@@ -311,6 +317,7 @@ impl Inputs {
             return Err(ProcessError::NoPairs(no_pairs(&left_out, &scene)));
         }
         matched.iter().try_for_each(|(pair, _)| flash::holds_for(&rig, pair))?;
+        let remarks = remarks(session, &calibration, &matched)?;
         let mut parts: Vec<Vec<u8>> = vec![];
         for path in [flash::file(session), session.scene_dir().join("scene.json")] {
             parts.push(std::fs::read(&path).map_err(io(&path))?);
@@ -336,13 +343,41 @@ impl Inputs {
             parts.push(format!("without {}: {}", left.name, left.why).into_bytes());
         }
         let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
-        Ok(Self { calibration, scale, scene, matched, left_out, flash, uvs: Default::default(), key })
+        Ok(Self {
+            calibration,
+            scale,
+            scene,
+            matched,
+            left_out,
+            remarks,
+            flash,
+            uvs: Default::default(),
+            key,
+        })
     }
 
     /// The energy of a pair's pulse against the calibration's.
     pub(super) fn gain(&self, pair: &PairRecord) -> FlashGain {
         self.flash.scale.gain(pair.flash.as_ref())
     }
+}
+
+/// What levels and noise of the session leave open for these pairs; an error if they are another body's.
+fn remarks(
+    session: &Session,
+    calibration: &FlashCalibration,
+    pairs: &[(Arc<PairRecord>, Camera)],
+) -> Result<Vec<String>, DevelopError> {
+    let measured = levels::load(session)?;
+    let mut found = BTreeSet::new();
+    for (pair, _) in pairs {
+        for frame in pair.dark_frames().chain([&pair.on]) {
+            levels::same_body(&measured, &frame.settings, &format!("pair {}", pair.name))?;
+            found.extend(levels::remark(&measured, &frame.settings));
+        }
+        found.extend(noise_of(session, &pair.on.settings, calibration)?.remark);
+    }
+    Ok(found.into_iter().collect())
 }
 
 /// A pair's name and the digests of all its frames.

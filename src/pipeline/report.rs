@@ -211,6 +211,7 @@ fn pairs(summary: &ProcessSummary) -> Vec<Block> {
             rows: summary.gains.iter().map(energy).collect(),
         });
     }
+    blocks.extend(summary.remarks.iter().cloned().map(Block::Text));
     if summary.left_out.is_empty() {
         blocks.push(Block::Text("None was left out.".into()));
     } else {
@@ -317,6 +318,7 @@ mod tests {
         };
         let summary = ProcessSummary {
             used: vec!["0001".into()],
+            remarks: vec![],
             left_out: vec![LeftOut { name: "0002".into(), why: "rejected: <the vase moved>".into() }],
             texture_size: 640,
             seen: 0.875,

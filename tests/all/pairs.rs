@@ -328,7 +328,7 @@ fn a_session_measures_where_its_sensor_clips_and_judges_by_it() {
     }
     // The nearest card is blown in green alone: the others are told as not reached.
     let out = unlit(&["calibrate", "levels", &session, "--blown", &blown], home.path());
-    assert!(text(&out.stdout).contains("red and blue never clips"), "{}", text(&out.stdout));
+    assert!(text(&out.stdout).contains("red and blue never clip "), "{}", text(&out.stdout));
     let blown = home.path().join("blown.dng").display().to_string();
     std::fs::write(&blown, two_stops_brighter(&birdbath("calibration/white/d0500_1.dng"))).unwrap();
     let out = unlit(&["calibrate", "levels", &session, "--blown", &blown], home.path());

@@ -87,6 +87,14 @@ pub enum RecordError {
         /// What is wrong with it.
         reason: String,
     },
+    /// A calibration of another rig than the photographs.
+    #[error("{} is not of the camera that took the photos: {source}; calibrate again with that camera, or begin another session for it", path.display())]
+    OtherRig {
+        /// The file.
+        path: PathBuf,
+        /// What differs.
+        source: OtherRig,
+    },
     /// A calibration of a later program.
     #[error("{} was written by a later version of unlit (form {found}, this program knows {SCHEMA}); update unlit", path.display())]
     TooNew {
@@ -106,6 +114,8 @@ pub(super) struct Series<'a> {
     shots: Vec<Shot>,
     /// Where each shot was read from.
     paths: Vec<PathBuf>,
+    /// What people must be told beside the fit's verdict.
+    remarks: Vec<String>,
 }
 
 impl<'a> Series<'a> {
@@ -117,7 +127,15 @@ impl<'a> Series<'a> {
         } else {
             sensor_levels::load(session)?
         };
-        Ok(Self { session, kind, measured, rig: Rig::default(), shots: vec![], paths: vec![] })
+        Ok(Self {
+            session,
+            kind,
+            measured,
+            rig: Rig::default(),
+            shots: vec![],
+            paths: vec![],
+            remarks: vec![],
+        })
     }
 
     /// Reads the next shot; it must be of the same body and lens as those before. Its number in the series is the
@@ -140,6 +158,9 @@ impl<'a> Series<'a> {
             serial: serial.or(told.serial),
             lens: lens.or(told.lens),
         };
+        if let Some(remark) = sensor_levels::remark(&self.measured, settings) {
+            self.remark(remark);
+        }
         let (shutter, aperture, iso) = (settings.shutter, settings.aperture, settings.iso);
         let file = self.place(path, &blake3);
         self.shots.push(Shot { file, blake3, shutter, aperture, iso, left_out: None });
@@ -163,6 +184,13 @@ impl<'a> Series<'a> {
         &self.shots
     }
 
+    /// Tells people of something beside the fit's verdict; once, however often it is said.
+    pub(super) fn remark(&mut self, remark: String) {
+        if !self.remarks.contains(&remark) {
+            self.remarks.push(remark);
+        }
+    }
+
     /// Says why a shot is not used.
     pub(super) fn leave_out(&mut self, shot: usize, why: String) {
         self.shots[shot].left_out = Some(why);
@@ -172,11 +200,12 @@ impl<'a> Series<'a> {
     pub(super) fn keep<T: Serialize>(
         self,
         fit: T,
-        verdict: Verdict,
+        mut verdict: Verdict,
         figure: &Chart,
         progress: &Progress,
     ) -> Result<Record<T>, SeriesError> {
-        let Self { session, kind, rig, shots, paths, .. } = self;
+        let Self { session, kind, rig, shots, paths, remarks, .. } = self;
+        verdict.sentences.extend(remarks);
         let count = paths.len();
         for (done, (shot, path)) in shots.iter().zip(&paths).enumerate() {
             progress.check()?;
