@@ -48,6 +48,17 @@ const LEAST_COSINE: f64 = 1e-3;
 /// Points over which the lobe's mean is taken.
 const COARSE: usize = 32;
 
+/// Angles of [`Ring::summed_irradiance`].
+const SPOKES: usize = 16;
+
+/// Its circles, by Gauss and Legendre over the area: share of the area that lies farther in, and weight.
+const GAUSS: [(f64, f64); 4] = [
+    (0.069_431_844_202_973_7, 0.173_927_422_568_726_9),
+    (0.330_009_478_207_571_9, 0.326_072_577_431_273_1),
+    (0.669_990_521_792_428_1, 0.326_072_577_431_273_1),
+    (0.930_568_155_797_026_3, 0.173_927_422_568_726_9),
+];
+
 /// Points of the lamp that one of several looks at much the same place takes, so that all looks together take an even
 /// spread of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -129,6 +140,17 @@ impl Ring {
         // Where the horizon leaves none of the points, the sliver's highest stands for all.
         let highest = (self.outer * normal.truncate().normalize_or_zero()).extend(self.offset);
         even * if all > 0.0 { lobed / all } else { self.lobe_towards(highest, point) }
+    }
+
+    /// The same without the closed form, as a sum over 64 points of the ring: a render of its own, to check by.
+    pub fn summed_irradiance(&self, point: DVec3, normal: DVec3) -> f64 {
+        let area = PI * (self.outer * self.outer - self.inner * self.inner);
+        let of = |(place, weight): &(Place, f64)| {
+            let lamp = self.at(place, DVec2::X);
+            let lobe = if self.lobe == 0.0 { 1.0 } else { self.lobe_towards(lamp, point) };
+            weight * form(lamp, point, normal) * lobe
+        };
+        area * PLACES.gauss.iter().map(of).sum::<f64>()
     }
 
     /// cos^n of the angle under which a point of the ring shines at a place.
@@ -242,6 +264,7 @@ struct Places {
     rims: Vec<Place>,
     spread: Vec<Place>,
     even: Vec<Place>,
+    gauss: Vec<(Place, f64)>,
 }
 
 static PLACES: LazyLock<Places> = LazyLock::new(|| {
@@ -254,12 +277,17 @@ static PLACES: LazyLock<Places> = LazyLock::new(|| {
     });
     // Halton's sequence: any run of it is even, and every second place lies opposite the one before it.
     let even = (0..FINE as u32).map(|i| Place::new(behind_point(i, 3), behind_point(i, 2)));
+    let gauss = (0..GAUSS.len() * SPOKES).map(|i| {
+        let (share, weight) = GAUSS[i / SPOKES];
+        (Place::new(share, (i % SPOKES) as f64 / SPOKES as f64), weight / SPOKES as f64)
+    });
     Places {
         fine: (0..FINE).map(|i| Place::spread(i, FINE)).collect(),
         coarse: (0..COARSE).map(|i| Place::spread(i, COARSE)).collect(),
         rims: outer.chain(inner).collect(),
         spread: spread.collect(),
         even: even.collect(),
+        gauss: gauss.collect(),
     }
 });
 
