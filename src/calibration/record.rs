@@ -171,7 +171,9 @@ mod tests {
         };
         let rig = Rig { lighting: through(30.0), ..Rig::default() };
         assert_eq!(rig.same_polariser(&through(210.0), "the calibration"), Ok(()));
-        let told = |rig: &Rig, other: Lighting| rig.same_polariser(&other, "the calibration").unwrap_err().to_string();
+        let told = |rig: &Rig, other: Lighting| {
+            rig.same_polariser(&other, "the calibration").unwrap_err().to_string()
+        };
         let crossed = told(&rig, through(120.0));
         assert_eq!(
             crossed,

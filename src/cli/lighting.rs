@@ -70,10 +70,16 @@ mod tests {
     #[test]
     fn polarisers_and_powers_are_read_and_what_is_not_told_stays() {
         let at = |angle| Some(Polariser { angle_degrees: angle });
-        for (text, wanted) in [("30", at(Some(30.0))), ("-7.5", at(Some(-7.5))), ("untold", at(None)), ("none", None)] {
+        for (text, wanted) in
+            [("30", at(Some(30.0))), ("-7.5", at(Some(-7.5))), ("untold", at(None)), ("none", None)]
+        {
             assert_eq!(text.parse::<Told>(), Ok(Told(wanted)), "{text}");
         }
-        assert!("crossed".parse::<Told>().is_err() && "400".parse::<Told>().is_err() && "NaN".parse::<Told>().is_err());
+        assert!(
+            "crossed".parse::<Told>().is_err()
+                && "400".parse::<Told>().is_err()
+                && "NaN".parse::<Told>().is_err()
+        );
         assert_eq!((power("1/4"), power("0.25"), power("1")), (Ok(0.25), Ok(0.25), Ok(1.0)));
         for wrong in ["0", "2", "1/0", "full", "-1/4", ""] {
             assert!(power(wrong).is_err(), "{wrong}");

@@ -88,7 +88,10 @@ mod tests {
         assert!(through(Some(179.0)).same_polariser(&through(Some(0.0))));
         assert!(through(Some(30.0)).same_polariser(&through(Some(-150.0))));
         assert!(!through(Some(0.0)).same_polariser(&through(Some(90.0))));
-        assert!(through(Some(30.0)).same_polariser(&through(None)), "what is not told is not held against it");
+        assert!(
+            through(Some(30.0)).same_polariser(&through(None)),
+            "what is not told is not held against it"
+        );
     }
 
     #[test]

@@ -134,8 +134,7 @@ pub(super) fn room_ratio(
     [on, off]: [&Settings; 2],
 ) -> Result<f64, DevelopError> {
     let name = || name.to_owned();
-    let table =
-        scale.between(on, off).map_err(|source| DevelopError::OtherBody { name: name(), source })?;
+    let table = scale.between(on, off).map_err(|source| DevelopError::OtherBody { name: name(), source })?;
     exposure_ratio_by(&table, on, off).map_err(|setting| DevelopError::Lacking { name: name(), setting })
 }
 

@@ -5,8 +5,8 @@ use super::sidecars::sidecars;
 use super::{Event, Numbering, PAIR_RECORD, Session, SessionError, digests, room, store, to_json};
 use crate::pair::order::{Order, Part, Program, Slot};
 use crate::pair::{
-    Attempt, CompanionRecord, Drift, FlashRecord, FrameRecord, Lighting, PairRecord, Polariser, Reason, Settings,
-    Verdict,
+    Attempt, CompanionRecord, Drift, FlashRecord, FrameRecord, Lighting, PairRecord, Polariser, Reason,
+    Settings, Verdict,
 };
 use std::path::{Path, PathBuf};
 

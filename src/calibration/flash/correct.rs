@@ -7,15 +7,17 @@
 //! closed form) and as plain sums over the cells; the shot's light over it should be 1 within [`AGREED`]. Geometry, field
 //! and noise stay as they were calibrated.
 
-use super::check::{check, check_target, unfit};
 use super::card::{CardShot, SeenShot, Setting, Target};
-use super::{CardResidual, FEWEST_CELLS, FlashCalibration, FlashFitError, Interval, MOST_RESIDUAL, USUAL_JITTER};
+use super::check::{check, check_target, unfit};
+use super::{
+    CardResidual, FEWEST_CELLS, FlashCalibration, FlashFitError, Interval, MOST_RESIDUAL, USUAL_JITTER,
+};
 use crate::light::Ring;
 use crate::scene::Intrinsics;
 use serde::{Deserialize, Serialize};
 
 /// How far the second render may be off the shot: the thesis's 0.02 %.
-pub const AGREED: f64 = 2e-4;
+pub(super) const AGREED: f64 = 2e-4;
 
 /// 97.5 % point of the normal distribution.
 const NORMAL: f64 = 1.959_964;
@@ -83,7 +85,11 @@ pub fn correct_flash(
     };
     let (measured, second) =
         (total(&mut seen.cells.iter().map(|cell| cell.value)), total(&mut again.iter().copied()));
-    let off = seen.cells.iter().zip(&again).flat_map(|(cell, m)| (0..3).map(|c| (cell.value[c] / m[c] - 1.0).powi(2)));
+    let off = seen
+        .cells
+        .iter()
+        .zip(&again)
+        .flat_map(|(cell, m)| (0..3).map(|c| (cell.value[c] / m[c] - 1.0).powi(2)));
     let rms = (off.sum::<f64>() / (3 * seen.cells.len()) as f64).sqrt();
     if rms.is_nan() || rms > MOST_RESIDUAL {
         return Err(FlashFitError::Residual(100.0 * rms));
@@ -109,12 +115,8 @@ pub fn correct_flash(
     findings.target_curve.clone_from(&target.curve);
     (findings.left_one_out_error, findings.held_out_error) = (None, None);
     let measured_factor = energy_counts.zip(base.energy_counts).map(|(now, then)| now / then);
-    findings.correction = Some(Correction {
-        factor,
-        measured_factor,
-        base_file: String::new(),
-        base_blake3: String::new(),
-    });
+    findings.correction =
+        Some(Correction { factor, measured_factor, base_file: String::new(), base_blake3: String::new() });
     let card = CardResidual {
         label: shot.label.clone(),
         distance: shot.plane.distance(),

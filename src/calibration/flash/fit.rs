@@ -78,7 +78,10 @@ pub fn fit_flash(shots: &[CardShot], facts: &FlashFacts) -> Result<FlashCalibrat
                 None => Some(reasons[s].clone().unwrap_or_else(|| "kept from the fit, to check it".into())),
             },
             prediction_error,
-            prediction_half: sums.as_ref().filter(|_| place.is_none()).map(|sums| solution.half_prediction(sums)),
+            prediction_half: sums
+                .as_ref()
+                .filter(|_| place.is_none())
+                .map(|sums| solution.half_prediction(sums)),
             held_out: shot.held_out,
         }
     });

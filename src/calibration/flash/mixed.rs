@@ -215,8 +215,7 @@ impl Solution {
     /// By how much a linear form's variance grows with the jitter's.
     fn slope(&self, form: &[f64]) -> f64 {
         let spread = self.covariance.times(form);
-        self
-            .sums
+        self.sums
             .iter()
             .map(|s| {
                 let along: f64 = s.c.iter().zip(&spread).map(|(a, b)| a * b).sum();

@@ -87,7 +87,10 @@ impl FlashCalibration {
         });
         let radius = |name: &str, told_radius: Option<Interval>, ruler: f64| {
             if found.radii_fitted {
-                return Some(format!("Its {name} radius is {} m by the shots, not by the ruler.", told(told_radius?, 4)));
+                return Some(format!(
+                    "Its {name} radius is {} m by the shots, not by the ruler.",
+                    told(told_radius?, 4)
+                ));
             }
             let found = told_radius.filter(|r| !r.holds(ruler))?;
             Some(format!(
@@ -129,7 +132,8 @@ impl FlashCalibration {
     fn corrected(&self) -> Option<String> {
         let correction = self.findings.correction.as_ref()?;
         let [r, g, b] = correction.factor;
-        let photodiode = correction.measured_factor.map_or_else(String::new, |f| format!("; the photodiode tells {f:.4}"));
+        let photodiode =
+            correction.measured_factor.map_or_else(String::new, |f| format!("; the photodiode tells {f:.4}"));
         Some(format!(
             "The calibration before ({}) was multiplied by {r:.4} {g:.4} {b:.4} (red, green, blue){photodiode}; ring, field and \
              noise are its own.",

@@ -176,9 +176,7 @@ impl<'a> Reader<'a> {
         };
         let label = label(&shot.on);
         let room = match &off {
-            Some(off) => {
-                Some((&off.mosaic, room_ratio(&label, &self.scale, [&on.settings, &off.settings])?))
-            }
+            Some(off) => Some((&off.mosaic, room_ratio(&label, &self.scale, [&on.settings, &off.settings])?)),
             None => None,
         };
         self.gauge.add(&on.mosaic);

@@ -1,8 +1,8 @@
 //! What is known of the lens's vignetting before the flash is fitted.
 
 use super::FlashError;
-use crate::calibration::{FieldFactor, FlatSource, Record, Rig, Vignetting};
 use crate::calibration::flat::{Figure, FlatCalibration};
+use crate::calibration::{FieldFactor, FlatSource, Record, Rig, Vignetting};
 use crate::pair::Settings;
 use crate::pipeline::calibrate::flat;
 use crate::session::{Session, store};
