@@ -245,8 +245,8 @@ fn draw_with(seed: u64, truth: Ring, ruler: Ring, lobe: bool, distances: &[f64],
             Plane { point: distance * DVec3::Z, normal: DVec3::new(tilt[0], tilt[1], -1.0).normalize() };
         let energy = 1.0 + jitter * gauss();
         let mut cells = vec![];
-        for (x, y) in (0..6).flat_map(|x| (0..4).map(move |y| (x, y))) {
-            let centre = DVec2::new(20.0 + 40.0 * x as f64, 20.0 + 40.0 * y as f64);
+        for (x, y) in (0..5).flat_map(|x| (0..3).map(move |y| (x, y))) {
+            let centre = DVec2::new(24.0 + 48.0 * x as f64, 26.0 + 54.0 * y as f64);
             let g = factor.at(&intrinsics(), centre);
             let unit = energy * g * light(&ring, &plane, centre);
             let mut cell = Cell { centre, value: [0.0; 3], signal: [0.0; 3], sites: [64.0, 128.0, 64.0] };
