@@ -10,7 +10,7 @@ use crate::photometry::{
     FlashGain, IsolateError, Known, KnownMosaic, NoiseModel, RoomLight, demosaic, isolate, isolate_mean,
 };
 use crate::pipeline::calibrate::RecordError;
-use crate::pipeline::calibrate::noise::SessionNoise;
+use crate::pipeline::calibrate::noise::{self, SessionNoise};
 use crate::pipeline::levels;
 use crate::pipeline::scale::{RatioError, SessionScale, of_calibration};
 use crate::reflectance::observe::Lamp;
@@ -96,8 +96,8 @@ pub(super) fn noise_of(
     settings: &Settings,
     calibration: &FlashCalibration,
 ) -> Result<SessionNoise, RecordError> {
-    let own = calibrate::noise::of(session, settings)?;
-    let (Some(from), Some(to)) = (calibration.iso.map(Iso), settings.iso) else { return Ok(own) };
+    let own = noise::of(session, settings)?;
+    let (Some(from), Some(to)) = (calibration.iso.map(crate::units::Iso), settings.iso) else { return Ok(own) };
     if own.model.is_some() || from == to {
         return Ok(own);
     }

@@ -10,7 +10,7 @@ use super::memory::Needs;
 use super::scale::{Ratios, SessionScale};
 use super::scene::{self, SceneError};
 use super::{output, solve, uvs};
-use crate::calibration::{FlashCalibration, Record};
+use crate::calibration::FlashCalibration;
 use crate::codec::asset::AssetError;
 use crate::codec::png::PngError;
 use crate::export::glb::GlbError;
@@ -59,6 +59,9 @@ pub struct ProcessSummary {
     /// Which calibrations count only in part for these pairs, and why.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub remarks: Vec<String>,
+    /// What differs from the flash calibration and was scaled, a sentence each.
+    #[serde(default)]
+    pub scaled: Vec<String>,
     /// Side of the texture.
     pub texture_size: usize,
     /// Share of the object's texels that at least one view sees.
@@ -224,6 +227,8 @@ pub(super) struct Inputs {
     pub(super) left_out: Vec<LeftOut>,
     /// Which calibrations count only in part, and why.
     pub(super) remarks: Vec<String>,
+    /// What differs from the flash calibration and is scaled, in words.
+    pub(super) scaled: Vec<String>,
     /// The flash over the session.
     pub(super) flash: FlashAccount,
     /// Where the object's texture coordinates were asked to come from, and did.
@@ -297,7 +302,7 @@ fn outputs(uvs: &UvSource) -> Vec<String> {
 
 impl Inputs {
     pub(super) fn read(session: &Session) -> Result<Self, ProcessError> {
-        let Record { fit: calibration, rig, .. } = flash::record(session)?;
+        let calibrated = flash::record(session)?;
         let scale = SessionScale::load(session).map_err(DevelopError::from)?;
         let flash = energy::account(session)?;
         let scene = scene::load(session)?;
@@ -316,8 +321,8 @@ impl Inputs {
         if matched.is_empty() {
             return Err(ProcessError::NoPairs(no_pairs(&left_out, &scene)));
         }
-        matched.iter().try_for_each(|(pair, _)| flash::holds_for(&rig, pair))?;
-        let remarks = remarks(session, &calibration, &matched)?;
+        let remarks = remarks(session, &calibrated.fit, &matched)?;
+        let scaled = flash::scaled_for(&calibrated, matched.iter().map(|(pair, _)| &**pair), &scale)?;
         let mut parts: Vec<Vec<u8>> = vec![];
         for path in [flash::file(session), session.scene_dir().join("scene.json")] {
             parts.push(std::fs::read(&path).map_err(io(&path))?);
@@ -339,21 +344,14 @@ impl Inputs {
         // Gains come out of it, and the report tells all of it.
         parts.push(format!("{flash:?}").into_bytes());
         // The report and the summary tell of these too.
+        parts.extend(scaled.iter().map(|what| what.clone().into_bytes()));
         for left in &left_out {
             parts.push(format!("without {}: {}", left.name, left.why).into_bytes());
         }
         let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
-        Ok(Self {
-            calibration,
-            scale,
-            scene,
-            matched,
-            left_out,
-            remarks,
-            flash,
-            uvs: Default::default(),
-            key,
-        })
+        let calibration = calibrated.fit;
+        let uvs = Default::default();
+        Ok(Self { calibration, scale, scene, matched, left_out, remarks, scaled, flash, uvs, key })
     }
 
     /// The energy of a pair's pulse against the calibration's.
@@ -449,5 +447,8 @@ mod tests {
         pair["more_off"] = serde_json::json!([frame("c")]);
         pair["after"] = serde_json::json!([frame("d"), frame("e")]);
         assert_eq!(of(&pair), "0001 a b c d e");
+        pair["order"] = serde_json::json!("off_on_crossed");
+        pair["crossed"] = frame("f");
+        assert_eq!(of(&pair), "0001 a b c d e", "nothing is made of a lit frame through a crossed polariser");
     }
 }

@@ -151,6 +151,8 @@ fn a_table_of_another_body_is_refused_by_everything_that_scales_and_not_where_no
         vignetting: None,
         ring_radii: [0.035, 0.085],
         focal_px: Some(200.0),
+        free_radii: false,
+        lighting: None,
     };
     let error = flash::calibrate(&session, &[card], &facts, &Progress::silent()).unwrap_err();
     says(error.to_string());
