@@ -6,18 +6,20 @@
 
 mod write;
 
+use super::certify::{CertificateError, Standing};
+use super::colour::{ColoursError, SessionColours, SessionMatrix};
 use super::output::up;
 use super::process::{ProcessError, ProcessSummary, stored};
 use super::scene::{self, SceneError};
 use super::uvs::{self, UvsError};
 use super::{flash, views};
+use crate::calibration::colour::rows;
 use crate::codec::asset::AssetError;
 use crate::codec::exr_image::{self, Exr};
 use crate::codec::png::PngError;
-use crate::codec::raw::RawError;
-use crate::codec::raw::colour::{self as raw_colour, CameraColour};
 use crate::export::colour::{ACESCG, LINEAR_SRGB, Space};
 use crate::export::glb::GlbError;
+use crate::pair::PairRecord;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
 use crate::scene::Mesh;
@@ -106,11 +108,11 @@ pub enum ExportError {
     Inside(PathBuf),
     /// No colour matrix.
     #[error(
-        "nothing is known of this camera's colours: neither {} nor the decoder's table has a matrix from XYZ to its RGB, \
-         so that sRGB and ACEScg cannot be made; use --colour camera, or convert the raws to DNG with a program that \
-         knows the camera and import those", .0.display()
+        "nothing is known of this camera's colours: no chart was shot, and neither its files nor the decoder's table have \
+         a matrix from XYZ to its RGB, so that sRGB and ACEScg cannot be made; shoot a chart (`unlit calibrate colour`), \
+         use --colour camera, or convert the raws to DNG with a program that knows the camera and import those"
     )]
-    NoColour(PathBuf),
+    NoColour,
     /// Session.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -120,9 +122,12 @@ pub enum ExportError {
     /// Texture coordinates.
     #[error(transparent)]
     Uvs(#[from] UvsError),
-    /// A photo's colour tags cannot be read.
+    /// The model's certificate.
     #[error(transparent)]
-    Raw(#[from] RawError),
+    Certificate(#[from] CertificateError),
+    /// The camera's colours.
+    #[error(transparent)]
+    Colours(#[from] ColoursError),
     /// A picture or mesh.
     #[error(transparent)]
     Asset(#[from] AssetError),
@@ -193,6 +198,8 @@ struct Model {
     colour: Colour,
     /// From camera RGB to the colours asked for; `None` for the camera's own.
     matrix: Option<DMat3>,
+    /// What is to be known of the colours.
+    colour_notes: Vec<String>,
     provenance: Value,
 }
 
@@ -220,19 +227,25 @@ impl Model {
             let found = format!("{} channels", counts.channels.len());
             return Err(ExportError::Unfit { path: folder.join("views.exr"), found, expected });
         }
-        let known = match colour {
-            Colour::Camera => None,
-            Colour::Srgb | Colour::AcesCg => Some(camera_colour(session, &summary)?),
+        let asked = space(colour).map(|space| camera_colour(session, &summary).map(|known| (space, known)));
+        let (known, matrix, colour_notes) = match asked.transpose()? {
+            None => (None, None, vec![]),
+            Some((space, (known, note))) => {
+                let words = format!("colours: {}", known.basis.words());
+                let matrix = known.to(&space);
+                (Some(known), Some(matrix), note.into_iter().chain([words]).collect())
+            }
         };
-        let matrix = known.and_then(|known| Some(space(colour)?.from_camera(&known)));
         let reflectance = match matrix {
             Some(matrix) => transformed(&reflectance, matrix),
             None => reflectance,
         };
-        let mut provenance = provenance(session, &summary);
+        let certificate = Standing::load(session)?;
+        let mut provenance = provenance(session, &summary, certificate.as_ref());
+        let basis = known.map(|known| known.basis);
         provenance["colour"] =
-            json!({ "space": name(colour), "camera": known, "from_camera": matrix.map(rows) });
-        Ok(Self { summary, mesh, up, folder, reflectance, counts, colour, matrix, provenance })
+            json!({ "space": name(colour), "basis": basis, "from_camera": matrix.map(|m| rows(&m)) });
+        Ok(Self { summary, mesh, up, folder, reflectance, counts, colour, matrix, colour_notes, provenance })
     }
 
     /// Standard deviations in the colours asked for.
@@ -256,6 +269,7 @@ impl Model {
 
     fn notes(&self, options: &ExportOptions) -> Vec<String> {
         let mut notes = self.summary.out_of_range.warnings();
+        notes.extend(self.colour_notes.iter().cloned());
         let display = options.formats.iter().any(|f| matches!(f, Format::Glb | Format::Obj));
         if display && options.colour == Colour::AcesCg {
             notes.push("GLB and PNG know sRGB alone: their colours are sRGB, not ACEScg".into());
@@ -279,7 +293,11 @@ fn read_rgb(path: &Path, side: usize) -> Result<Rgb, ExportError> {
 }
 
 /// Where a model came from and how far it can be trusted, for files that can carry it.
-pub(super) fn provenance(session: &Session, summary: &ProcessSummary) -> Value {
+pub(super) fn provenance(
+    session: &Session,
+    summary: &ProcessSummary,
+    certificate: Option<&Standing>,
+) -> Value {
     json!({
         "software": concat!("unlit ", env!("CARGO_PKG_VERSION")),
         "session": session.manifest().name,
@@ -294,17 +312,21 @@ pub(super) fn provenance(session: &Session, summary: &ProcessSummary) -> Value {
         "median_standard_deviation": summary.median_deviation,
         "mean_reflectance": summary.mean_reflectance,
         "out_of_range": summary.out_of_range,
+        "certificate": certificate.map(Standing::told),
         "method": "flash-only light over simulated ring-flash light with bounces, weighted least squares over views",
     })
 }
 
-/// What is known of the camera's colours, from the first pair of the model.
-fn camera_colour(session: &Session, summary: &ProcessSummary) -> Result<CameraColour, ExportError> {
-    // All pairs of a session are one camera's; one file tells what the others do.
-    let pair = session.pairs()?.into_iter().find(|p| summary.used.contains(&p.name));
-    let pair = pair.ok_or_else(|| ExportError::NoColour(session.pairs_dir()))?;
-    let file = session.pair_dir(&*pair).join(&pair.on.file);
-    raw_colour::read(&file)?.ok_or(ExportError::NoColour(file))
+/// What is known of the colours of the model's pairs, and what is to be told of it.
+fn camera_colour(
+    session: &Session,
+    summary: &ProcessSummary,
+) -> Result<(SessionMatrix, Option<String>), ExportError> {
+    let pairs = session.pairs()?;
+    let used: Vec<&PairRecord> =
+        pairs.iter().map(|pair| &**pair).filter(|pair| summary.used.contains(&pair.name)).collect();
+    let SessionColours { matrix, note } = SessionColours::known(session, &used)?;
+    Ok((matrix.ok_or(ExportError::NoColour)?, note))
 }
 
 fn space(colour: Colour) -> Option<Space> {
@@ -317,10 +339,6 @@ fn space(colour: Colour) -> Option<Space> {
 
 fn name(colour: Colour) -> &'static str {
     space(colour).map_or("camera RGB, uncalibrated", |s| s.name)
-}
-
-fn rows(matrix: DMat3) -> [[f64; 3]; 3] {
-    matrix.transpose().to_cols_array_2d()
 }
 
 fn transformed(image: &Rgb, matrix: DMat3) -> Rgb {

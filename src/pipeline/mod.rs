@@ -1,8 +1,11 @@
 //! Files to results, in stages keyed by the digest of their inputs.
 
 pub mod calibrate;
+pub mod certify;
+pub mod colour;
 pub mod cost;
 pub mod develop;
+mod dress;
 pub mod energy;
 pub mod evaluate;
 pub mod export;

@@ -1,6 +1,8 @@
 //! `process`: a session's accepted pairs to reflectance texture, deviations, view counts and model.
 
 use super::calibrate::exposure::SessionScale;
+use super::certify::CertificateError;
+use super::colour::{ColoursError, SessionColours};
 use super::cost::Cost;
 use super::develop::DevelopError;
 use super::energy::{self, EnergyError, FlashAccount};
@@ -8,7 +10,8 @@ use super::flash::{self, FlashError};
 use super::manifest::{StageManifest, digest};
 use super::memory::Needs;
 use super::scene::{self, SceneError};
-use super::{output, solve, uvs};
+use super::uvs::UvsError;
+use super::{dress, output, solve, uvs};
 use crate::calibration::{FlashCalibration, Record};
 use crate::codec::asset::AssetError;
 use crate::codec::png::PngError;
@@ -172,6 +175,15 @@ pub enum ProcessError {
     /// A preview in the report.
     #[error(transparent)]
     Preview(#[from] PngError),
+    /// The camera's colours.
+    #[error(transparent)]
+    Colours(#[from] ColoursError),
+    /// The model's certificate.
+    #[error(transparent)]
+    Certificate(#[from] CertificateError),
+    /// Made texture coordinates.
+    #[error(transparent)]
+    Uvs(#[from] UvsError),
     /// A derived file does not fit the scene.
     #[error("{} was made from another scene: delete it and process again", .0.display())]
     Stale(PathBuf),
@@ -211,6 +223,8 @@ pub(super) struct Inputs {
     pub(super) calibration: FlashCalibration,
     /// How light goes with the settings.
     pub(super) scale: SessionScale,
+    /// What a chart says of the camera's colours.
+    pub(super) colours: SessionColours,
     pub(super) scene: Scene,
     /// Accepted pairs with their cameras, by name.
     pub(super) matched: Vec<(Arc<PairRecord>, Camera)>,
@@ -219,7 +233,7 @@ pub(super) struct Inputs {
     pub(super) flash: FlashAccount,
     /// Where the object's texture coordinates were asked to come from, and did.
     pub(super) uvs: (UvChoice, UvSource),
-    /// Digest of all of it.
+    /// Digest of all that the texture is made from.
     pub(super) key: String,
 }
 
@@ -249,6 +263,7 @@ pub fn process(
             summary
         }
     };
+    summary.up_to_date &= !dress::dress(session, &inputs, &summary, &key, &mut manifest)?;
     if options.views {
         summary.views = super::views::make(session, &inputs, &mut manifest, progress)?;
         summary.up_to_date &= summary.views.0 == 0;
@@ -259,13 +274,43 @@ pub fn process(
 /// Whether the model is missing, or was not made from what the session holds now. An error says that something is
 /// missing to make it from.
 pub fn is_due(session: &Session) -> Result<bool, ProcessError> {
-    let inputs = Inputs::read(session)?;
+    Ok(match standing(session)? {
+        Some(Standing { inputs, key, .. }) => {
+            !dress::is_done(session, &inputs, &key, &StageManifest::load(session))?
+        }
+        None => true,
+    })
+}
+
+/// A texture that was made from what the session holds now.
+pub(super) struct Standing {
+    /// With the texture coordinates that it has.
+    pub(super) inputs: Inputs,
+    pub(super) summary: ProcessSummary,
+    /// Digest of all that it was made from.
+    pub(super) key: String,
+}
+
+impl Standing {
+    /// Makes GLB and report anew if what they tell of has changed.
+    pub(super) fn dress(&mut self, session: &Session) -> Result<(), ProcessError> {
+        let mut manifest = StageManifest::load(session);
+        dress::dress(session, &self.inputs, &self.summary, &self.key, &mut manifest).map(|_| ())
+    }
+}
+
+/// The finished texture, if it is still what the session's files make.
+pub(super) fn standing(session: &Session) -> Result<Option<Standing>, ProcessError> {
+    let mut inputs = Inputs::read(session)?;
+    let Some(summary) = stored(session) else { return Ok(None) };
     // At the last run's size and texture coordinates: other inputs make another key in any case.
-    Ok(!stored(session).is_some_and(|summary| {
-        let uvs = (summary.uv_choice, summary.uvs);
-        let key = texture_key(&inputs.key, summary.texture_size, &uvs);
-        StageManifest::load(session).is_done(session, "texture", &key)
-    }))
+    inputs.uvs = (summary.uv_choice, summary.uvs.clone());
+    let key = texture_key(&inputs.key, summary.texture_size, &inputs.uvs);
+    if !StageManifest::load(session).is_done(session, "texture", &key) {
+        return Ok(None);
+    }
+    uvs::apply(session, &mut inputs.scene)?;
+    Ok(Some(Standing { inputs, summary, key }))
 }
 
 fn texture_key(inputs: &str, size: usize, uvs: &(UvChoice, UvSource)) -> String {
@@ -278,7 +323,7 @@ pub fn stored(session: &Session) -> Option<ProcessSummary> {
 }
 
 fn outputs(uvs: &UvSource) -> Vec<String> {
-    ["reflectance.exr", "stddev.exr", "views.exr", "model.glb", "summary.json", "report.html"]
+    ["reflectance.exr", "stddev.exr", "views.exr", "summary.json"]
         .map(|name| format!("model/{name}"))
         .into_iter()
         .chain([super::views::PATCHES.to_owned()])
@@ -308,6 +353,8 @@ impl Inputs {
             return Err(ProcessError::NoPairs(no_pairs(&left_out, &scene)));
         }
         matched.iter().try_for_each(|(pair, _)| flash::holds_for(&rig, pair))?;
+        let pairs: Vec<&PairRecord> = matched.iter().map(|(pair, _)| &**pair).collect();
+        let colours = SessionColours::measured(session, &pairs)?;
         let mut parts: Vec<Vec<u8>> = vec![];
         for path in [flash::file(session), session.scene_dir().join("scene.json")] {
             parts.push(std::fs::read(&path).map_err(io(&path))?);
@@ -333,7 +380,8 @@ impl Inputs {
             parts.push(format!("without {}: {}", left.name, left.why).into_bytes());
         }
         let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
-        Ok(Self { calibration, scale, scene, matched, left_out, flash, uvs: Default::default(), key })
+        let uvs = Default::default();
+        Ok(Self { calibration, scale, colours, scene, matched, left_out, flash, uvs, key })
     }
 
     /// The energy of a pair's pulse against the calibration's.
@@ -363,8 +411,7 @@ fn solve_and_write(
     if let Some(object) = inputs.scene.meshes.first() {
         uvs::keep(session, object, &summary.uvs)?;
     }
-    summary.costs.clone_from(&costs.list);
-    output::write(session, &scene, inputs, &texture, &summary)?;
+    output::write(session, &texture)?;
     super::views::keep_patches(session, &texture.bounces.rho)?;
     costs.done("writing");
     summary.costs = costs.list;
