@@ -252,9 +252,8 @@ mod tests {
             let truth = known.map(|k| k * (1.0 + bias));
             let sd = known.map(|k| k * 0.01 * (0.2 + even()));
             // Twelve even ones make a normal one, near enough.
-            let found = std::array::from_fn(|c| {
-                truth[c] + sd[c] * ((0..12).map(|_| even()).sum::<f64>() - 6.0)
-            });
+            let found =
+                std::array::from_fn(|c| truth[c] + sd[c] * ((0..12).map(|_| even()).sum::<f64>() - 6.0));
             let judged = Comparison::of(&reading(known, found, Some(sd)));
             inside += (0..3).filter(|&c| (found[c] - truth[c]).abs() <= NORMAL_95 * sd[c]).count();
             let real = Comparison::of(&reading(known, truth, None)).within_2_percent.passes;
@@ -281,7 +280,9 @@ mod tests {
         });
         let one = CertificateSummary::of([Some(&good), None]);
         assert!(one.within_2_percent && one.seen == 1 && (one.max_relative_error - 0.01).abs() < 1e-9);
-        assert!((one.mean_error - 0.001).abs() < 1e-9 && (one.mean_absolute_error - 0.007 / 3.0).abs() < 1e-9);
+        assert!(
+            (one.mean_error - 0.001).abs() < 1e-9 && (one.mean_absolute_error - 0.007 / 3.0).abs() < 1e-9
+        );
         assert!(one.delta_e_2000_max.is_some_and(|d| d > 0.9 && d < 1.1), "{one:?}");
         let bad = Comparison::of(&reading([0.5; 3], [0.6; 3], None));
         let both = CertificateSummary::of([Some(&good), Some(&bad)]);

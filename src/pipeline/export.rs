@@ -4,10 +4,12 @@
 //! files into a folder outside the session. Nothing is solved again, but per-view images are made where they are missing.
 //! Float formats hold every value as it is; 16-bit TIFF holds 0 to 1, and what it had to clip is counted and told.
 
+mod colour;
 mod write;
 
+use self::colour::{camera_colour, name, space, spread, transformed};
 use super::certify::{CertificateError, Standing};
-use super::colour::{ColoursError, SessionColours, SessionMatrix};
+use super::colour::ColoursError;
 use super::output::up;
 use super::process::{ProcessError, ProcessSummary, stored};
 use super::scene::{self, SceneError};
@@ -17,14 +19,13 @@ use crate::calibration::colour::rows;
 use crate::codec::asset::AssetError;
 use crate::codec::exr_image::{self, Exr};
 use crate::codec::png::PngError;
-use crate::export::colour::{ACESCG, LINEAR_SRGB, Space};
+use crate::export::colour::{ACESCG, LINEAR_SRGB};
 use crate::export::glb::GlbError;
-use crate::pair::PairRecord;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
 use crate::scene::Mesh;
 use crate::session::{Session, SessionError, store};
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DMat3, Vec3};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::borrow::Cow;
@@ -317,43 +318,6 @@ pub(super) fn provenance(
     })
 }
 
-/// What is known of the colours of the model's pairs, and what is to be told of it.
-fn camera_colour(
-    session: &Session,
-    summary: &ProcessSummary,
-) -> Result<(SessionMatrix, Option<String>), ExportError> {
-    let pairs = session.pairs()?;
-    let used: Vec<&PairRecord> =
-        pairs.iter().map(|pair| &**pair).filter(|pair| summary.used.contains(&pair.name)).collect();
-    let SessionColours { matrix, note } = SessionColours::known(session, &used)?;
-    Ok((matrix.ok_or(ExportError::NoColour)?, note))
-}
-
-fn space(colour: Colour) -> Option<Space> {
-    match colour {
-        Colour::Camera => None,
-        Colour::Srgb => Some(LINEAR_SRGB),
-        Colour::AcesCg => Some(ACESCG),
-    }
-}
-
-fn name(colour: Colour) -> &'static str {
-    space(colour).map_or("camera RGB, uncalibrated", |s| s.name)
-}
-
-fn transformed(image: &Rgb, matrix: DMat3) -> Rgb {
-    image.map(|p| (matrix * DVec3::from(p.map(f64::from))).to_array().map(|v| v as f32))
-}
-
-/// Standard deviations after the transformation, the channels' errors taken as independent.
-fn spread(deviation: &Rgb, matrix: DMat3) -> Rgb {
-    let squares = DMat3::from_cols_array(&matrix.to_cols_array().map(|m| m * m));
-    deviation.map(|p| {
-        let variance = squares * DVec3::from(p.map(|s| f64::from(s).powi(2)));
-        variance.to_array().map(|v| v.sqrt() as f32)
-    })
-}
-
 pub(super) fn refuse_inside(session: &Session, to: &Path) -> Result<(), ExportError> {
     // What is not there yet has a parent that is, or whose parent is.
     let place = to
@@ -382,16 +346,6 @@ fn clipped(image: &Image<[f32; 3]>, counted: impl Iterator<Item = bool>) -> [usi
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn deviations_follow_the_colours() {
-        let sd = Image::filled(1, 1, [0.03, 0.04, 0.0]);
-        let mixed = DMat3::from_cols_array(&[1.0, 0.0, 2.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
-        let spread = *spread(&sd, mixed).at(0, 0);
-        for (got, want) in spread.into_iter().zip([0.05, 0.04, 0.06]) {
-            assert!((got - want).abs() < 1e-6, "{spread:?}");
-        }
-    }
 
     #[test]
     fn clipped_values_are_counted_on_the_surface_alone() {

@@ -20,6 +20,7 @@ pub mod process;
 mod report;
 pub mod scene;
 mod solve;
+pub mod standing;
 pub mod steadiness;
 pub mod stops;
 pub mod uvs;

@@ -1,6 +1,7 @@
 //! `model/report.html`: what a run made, from what, and how far to trust it.
 
 mod certificate;
+mod colour;
 mod flash;
 mod previews;
 
@@ -91,7 +92,7 @@ fn figures(told: &Told<'_>) -> Vec<Block> {
     }
     let mut blocks = vec![
         Block::Facts(facts),
-        Block::Text(format!("Reflectance runs from 0 to 1 and is linear. {}", colours(told.colours))),
+        Block::Text(format!("Reflectance runs from 0 to 1 and is linear. {}", colour::words(told.colours))),
         Block::Text(
             "Rendering programs expect diffuse colours between about 0.02 (charcoal) and 0.9 (fresh snow). Values \
              outside are kept as they were measured."
@@ -100,19 +101,6 @@ fn figures(told: &Told<'_>) -> Vec<Block> {
     ];
     blocks.extend(range.warnings().into_iter().map(Block::Text));
     blocks
-}
-
-fn colours(colours: &SessionColours) -> String {
-    let words = match &colours.matrix {
-        Some(matrix) => format!(
-            "The float files are in camera RGB; colours of model.glb are sRGB by a matrix {}.",
-            matrix.basis.words()
-        ),
-        None => "Colour space: camera RGB, uncalibrated. The channels are the camera's own, so colours are right only in \
-                 relation to each other; no colour chart went into this."
-            .into(),
-    };
-    colours.note.iter().fold(words, |words, note| format!("{words} Note: {note}"))
 }
 
 fn solved(summary: &ProcessSummary) -> String {

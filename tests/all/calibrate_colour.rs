@@ -128,7 +128,10 @@ fn the_rooms_light_is_taken_off_by_a_second_raw_file() {
     let dark = record(&[&[plain.as_str()], &chart[..]].concat());
     let taken_off = record(&[&[on.as_str(), "--off", &off], &chart[..]].concat());
     let left_on = record(&[&[on.as_str()], &chart[..]].concat());
-    assert_eq!((&taken_off["room_light_taken_off"], &left_on["room_light_taken_off"]), (&true.into(), &false.into()));
+    assert_eq!(
+        (&taken_off["room_light_taken_off"], &left_on["room_light_taken_off"]),
+        (&true.into(), &false.into())
+    );
     assert_eq!(taken_off["shots"].as_array().unwrap().len(), 2);
     let mean = |record: &Value| record["leave_one_out"]["mean"].as_f64().unwrap();
     println!("dark {}, room taken off {}, left on {}", mean(&dark), mean(&taken_off), mean(&left_on));

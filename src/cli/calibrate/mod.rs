@@ -130,4 +130,3 @@ fn print_verdict(verdict: &Verdict, shots: &[Shot]) {
     }
     println!();
 }
-

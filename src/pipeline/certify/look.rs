@@ -89,7 +89,8 @@ impl<'a> Surface<'a> {
         let reflectance = exr_image::read(&folder.join("reflectance.exr"))?.rgb();
         let deviation = exr_image::read(&folder.join("stddev.exr"))?.rgb();
         let counts = exr_image::read(&folder.join("views.exr"))?;
-        let (Some(reflectance), Some(deviation), Some(object)) = (reflectance, deviation, scene.meshes.first())
+        let (Some(reflectance), Some(deviation), Some(object)) =
+            (reflectance, deviation, scene.meshes.first())
         else {
             return Ok(None);
         };
@@ -314,10 +315,10 @@ fn mean_of(values: &[[f32; 3]]) -> [f64; 3] {
 /// Pixel centres of a frame within a polygon.
 fn pixels_within(camera: &Camera, polygon: &[[f64; 2]]) -> Vec<DVec2> {
     let polygon: Vec<DVec2> = polygon.iter().map(|p| DVec2::from_array(*p)).collect();
-    let (low, high) = polygon.iter().fold(
-        (DVec2::INFINITY, DVec2::NEG_INFINITY),
-        |(low, high): (DVec2, DVec2), p| (low.min(*p), high.max(*p)),
-    );
+    let (low, high) =
+        polygon.iter().fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high): (DVec2, DVec2), p| {
+            (low.min(*p), high.max(*p))
+        });
     centres(camera, low, high).into_iter().filter(|p| within(&polygon, *p)).collect()
 }
 

@@ -13,7 +13,7 @@ pub use words::{HEAD, rows};
 
 use super::colour::{Basis, ColoursError, SessionColours};
 use super::process::{self, ProcessError};
-use super::{dress, views};
+use super::{standing, views};
 use crate::calibration::Verdict;
 use crate::calibration::certificate::{CertificateSummary, Comparison, PatchReading};
 use crate::codec::asset::AssetError;
@@ -155,12 +155,11 @@ pub struct Certificate {
 
 /// Certifies a session's model by the patches of a file; keeps the certificate and puts it into GLB and report.
 pub fn certify(session: &Session, file: &Path, progress: &Progress) -> Result<Certificate, CertifyError> {
-    let bytes =
-        std::fs::read(file).map_err(|source| CertifyError::Read { path: file.to_owned(), source })?;
-    let mut standing = process::standing(session)?.ok_or(CertifyError::NoModel)?;
-    let names: Vec<&str> = standing.summary.used.iter().map(String::as_str).collect();
+    let bytes = std::fs::read(file).map_err(|source| CertifyError::Read { path: file.to_owned(), source })?;
+    let model = standing::standing(session)?.ok_or(CertifyError::NoModel)?;
+    let names: Vec<&str> = model.summary.used.iter().map(String::as_str).collect();
     let list = PatchList::parse(&bytes, &names)?;
-    let pairs: Vec<&PairRecord> = standing.inputs.matched.iter().map(|(pair, _)| &**pair).collect();
+    let pairs: Vec<&PairRecord> = model.inputs.matched.iter().map(|(pair, _)| &**pair).collect();
     let colours = SessionColours::known(session, &pairs)?;
     let known = list
         .patches
@@ -170,7 +169,7 @@ pub fn certify(session: &Session, file: &Path, progress: &Progress) -> Result<Ce
             patch.known.in_camera_rgb(colours.matrix.as_ref()).map_err(wrong)
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let looked = look_at(session, &standing.inputs.scene, &list, &names, progress)?;
+    let looked = look_at(session, &model.inputs.scene, &list, &names, progress)?;
     let results: Vec<PatchResult> = list
         .patches
         .into_iter()
@@ -185,7 +184,7 @@ pub fn certify(session: &Session, file: &Path, progress: &Progress) -> Result<Ce
     let text = serde_json::to_vec_pretty(&certificate).map_err(std::io::Error::other);
     text.and_then(|text| store::write_atomic(&path, &text)).map_err(process::io(&path))?;
     progress.report("writing the model", 0, 1);
-    standing.dress(session)?;
+    model.dress(session)?;
     Ok(certificate)
 }
 
@@ -205,8 +204,7 @@ fn look_at(
     }
     progress.check()?;
     let mut looked: Vec<Looked> = list.patches.iter().map(|patch| surface.look(&patch.place)).collect();
-    let beside: Vec<usize> =
-        (0..looked.len()).filter(|&k| matches!(looked[k], Looked::Beside)).collect();
+    let beside: Vec<usize> = (0..looked.len()).filter(|&k| matches!(looked[k], Looked::Beside)).collect();
     if !beside.is_empty() {
         views::ensure(session, progress)?;
         let places: Vec<&Place> = beside.iter().map(|&k| &list.patches[k].place).collect();
@@ -228,9 +226,12 @@ fn result(patch: KnownPatch, known: [f64; 3], looked: Looked, colours: &SessionC
             let comparison = Comparison::of(&PatchReading { known, found: mean, deviation, lab });
             PatchResult { patch, read: Some(source), comparison: Some(comparison), not_seen: None }
         }
-        Looked::Beside => {
-            PatchResult { patch, read: None, comparison: None, not_seen: Some("no surface lies there".into()) }
-        }
+        Looked::Beside => PatchResult {
+            patch,
+            read: None,
+            comparison: None,
+            not_seen: Some("no surface lies there".into()),
+        },
         Looked::Unseen(why) => PatchResult { patch, read: None, comparison: None, not_seen: Some(why) },
     }
 }
@@ -240,9 +241,7 @@ fn finish(session: &Session, patches: Vec<PatchResult>, inputs: Made, colour: Op
     let names = |of: &dyn Fn(&PatchResult) -> bool| -> Vec<&str> {
         patches.iter().filter(|p| of(p)).map(|p| p.patch.name.as_str()).collect()
     };
-    let unsure = names(&|p| {
-        p.comparison.as_ref().is_some_and(|c| c.within_2_percent.sure == Some(false))
-    });
+    let unsure = names(&|p| p.comparison.as_ref().is_some_and(|c| c.within_2_percent.sure == Some(false)));
     let unseen = names(&|p| p.not_seen.is_some());
     let verdict = summary.verdict(&unsure, &unseen);
     Certificate {

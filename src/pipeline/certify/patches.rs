@@ -1,9 +1,9 @@
 //! `PATCHES.json`: what is known of patches, and where they are.
 
 use super::CertifyError;
-use crate::pipeline::colour::SessionMatrix;
 use crate::calibration::colour::{Lab, xyz};
 use crate::export::colour::{LINEAR_SRGB, PCS_WHITE, adapt};
+use crate::pipeline::colour::SessionMatrix;
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -102,7 +102,9 @@ impl KnownColour {
         match self {
             Self::Grey(r) => between(&[*r], 0.0, 1.0, "a reflectance is above 0 and at most 1"),
             Self::CameraRgb(rgb) => between(rgb, 0.0, 1.0, "a reflectance is above 0 and at most 1"),
-            Self::LinearSrgb(rgb) => between(rgb, -1.0, 1.5, "linear sRGB of a surface is about 0 to 1, not 0 to 255"),
+            Self::LinearSrgb(rgb) => {
+                between(rgb, -1.0, 1.5, "linear sRGB of a surface is about 0 to 1, not 0 to 255")
+            }
             Self::LabD50([l, a, b]) => between(&[*l], 0.0, 100.0, "L* is above 0 and at most 100")
                 .and_then(|()| between(&[*a, *b], -160.0, 160.0, "a* and b* of a surface lie within 160")),
         }
@@ -137,7 +139,11 @@ impl KnownColour {
 impl Place {
     fn check(&self, views: &[&str]) -> Result<(), String> {
         let finite = |values: &[f64]| {
-            values.iter().all(|v| v.is_finite()).then_some(()).ok_or_else(|| "has a place that is no number".to_owned())
+            values
+                .iter()
+                .all(|v| v.is_finite())
+                .then_some(())
+                .ok_or_else(|| "has a place that is no number".to_owned())
         };
         match self {
             Self::Point { at_m, radius_m } => {
@@ -153,7 +159,9 @@ impl Place {
                     let (a, b, c) = (corners[k], corners[(k + 1) % 4], corners[(k + 2) % 4]);
                     (b - a).cross(c - b).dot(normal) > 0.0
                 });
-                turns.then_some(()).ok_or_else(|| "has corners that do not go round a quadrangle: give them in order".into())
+                turns
+                    .then_some(())
+                    .ok_or_else(|| "has corners that do not go round a quadrangle: give them in order".into())
             }
             Self::Texture { from_uv, to_uv } => {
                 finite(from_uv)?;
@@ -193,8 +201,8 @@ pub(super) fn within(polygon: &[DVec2], p: DVec2) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::colour::Basis;
     use crate::codec::raw::colour::{CameraColour, ColourSource};
+    use crate::pipeline::colour::Basis;
 
     fn refused(patch: &str) -> String {
         let text = format!("{{\"patches\": [{patch}]}}");
@@ -203,7 +211,8 @@ mod tests {
 
     #[test]
     fn a_list_is_read_and_what_cannot_be_is_refused_by_name() {
-        let grey = |place: &str| format!("{{\"name\": \"g\", \"known\": {{\"grey\": 0.18}}, \"place\": {place}}}");
+        let grey =
+            |place: &str| format!("{{\"name\": \"g\", \"known\": {{\"grey\": 0.18}}, \"place\": {place}}}");
         let point = grey("{\"point\": {\"at_m\": [0, 0, 1], \"radius_m\": 0.01}}");
         let text = format!("{{\"patches\": [{point}]}}");
         assert_eq!(PatchList::parse(text.as_bytes(), &[]).unwrap().patches[0].known, KnownColour::Grey(0.18));
@@ -230,7 +239,11 @@ mod tests {
     #[test]
     fn a_white_is_white_however_it_is_given_and_colours_need_a_matrix() {
         let camera = CameraColour {
-            camera_from_xyz: [[0.7034, -0.0804, -0.1014], [-0.4420, 1.2564, 0.2058], [-0.0851, 0.1994, 0.5758]],
+            camera_from_xyz: [
+                [0.7034, -0.0804, -0.1014],
+                [-0.4420, 1.2564, 0.2058],
+                [-0.0851, 0.1994, 0.5758],
+            ],
             white: [0.3127, 0.3290],
             source: ColourSource::FileTag,
         };

@@ -27,7 +27,8 @@ fn row(result: &PatchResult) -> Vec<String> {
         let dash = || "-".to_owned();
         return vec![name, dash(), dash(), dash(), dash(), dash(), "not seen".into(), why];
     };
-    let Comparison { known_reflectance, found_reflectance, standard_deviation, relative_error, .. } = comparison;
+    let Comparison { known_reflectance, found_reflectance, standard_deviation, relative_error, .. } =
+        comparison;
     vec![
         name,
         three(known_reflectance),

@@ -7,7 +7,8 @@ use crate::export::report::Block;
 pub(super) fn blocks(standing: Option<&Standing>) -> Vec<Block> {
     let Some(Standing { certificate, stale }) = standing else {
         return vec![Block::Text(
-            "None: no patch of known reflectance was compared with this model. `unlit certify` does it.".into(),
+            "None: no patch of known reflectance was compared with this model. `unlit certify` does it."
+                .into(),
         )];
     };
     let made = moment(&certificate.made);

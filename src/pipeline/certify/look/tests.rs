@@ -103,7 +103,8 @@ fn what_no_view_saw_is_not_seen_whatever_fills_it() {
     }
     let small = Place::Point { at_m: [0.05, 0.05, 0.0], radius_m: 0.003 };
     assert!(unseen(surface.look(&small)).contains("larger part"));
-    let outside = Place::View { name: "a".into(), polygon_px: vec![[-9.0, -9.0], [-1.0, -9.0], [-1.0, -1.0]] };
+    let outside =
+        Place::View { name: "a".into(), polygon_px: vec![[-9.0, -9.0], [-1.0, -9.0], [-1.0, -1.0]] };
     assert!(unseen(surface.look(&outside)).contains("no pixel"));
     let nowhere = Place::View { name: "z".into(), polygon_px: vec![] };
     assert!(unseen(surface.look(&nowhere)).contains("no camera"));
@@ -116,7 +117,10 @@ fn a_patch_beside_the_object_is_read_from_the_views_and_their_scatter_told() {
     let quad = Place::Quad {
         corners_m: [[0.15, -0.04, -0.01], [0.23, -0.04, -0.01], [0.23, 0.04, -0.01], [0.15, 0.04, -0.01]],
     };
-    let view = Place::View { name: "b".into(), polygon_px: vec![[70.0, 45.0], [78.0, 45.0], [78.0, 55.0], [70.0, 55.0]] };
+    let view = Place::View {
+        name: "b".into(),
+        polygon_px: vec![[70.0, 45.0], [78.0, 45.0], [78.0, 55.0], [70.0, 55.0]],
+    };
     let air = Place::Point { at_m: [0.0, 0.0, 0.5], radius_m: 0.05 };
     for place in [&quad, &view, &air] {
         assert!(matches!(surface.look(place), Looked::Beside), "{place:?}");
@@ -149,7 +153,8 @@ fn the_back_of_a_thin_card_is_not_its_front() {
     let (positions, uvs) = (card.positions.len() as u32, card.uvs.len() as u32);
     card.positions.extend(&back.positions);
     card.uvs.extend(back.uvs.iter().map(|uv| Vec2::new(uv.x, 0.49 * uv.y)));
-    card.triangles.extend(back.triangles.iter().map(|[a, b, c]| [a + positions, c + positions, b + positions]));
+    card.triangles
+        .extend(back.triangles.iter().map(|[a, b, c]| [a + positions, c + positions, b + positions]));
     card.uv_triangles.extend(back.uv_triangles.iter().map(|[a, b, c]| [a + uvs, c + uvs, b + uvs]));
     let surface = surface(&scene);
     let found = read(surface.look(&Place::Point { at_m: [0.0, 0.0, -0.001], radius_m: 0.03 }));
