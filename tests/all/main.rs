@@ -13,6 +13,7 @@ mod calibrate_flash;
 mod calibrate_flat;
 mod calibrate_levels;
 mod calibrate_noise;
+mod calibrate_take;
 mod camera;
 mod camera_faults;
 mod camera_usb;

@@ -6,6 +6,7 @@ mod flash;
 mod flat;
 mod levels;
 mod noise;
+mod take;
 
 use crate::calibration::{Record, Shot, Verdict};
 use crate::capture::{Engine, Events, words_on_repeatability};
@@ -50,6 +51,8 @@ pub(super) enum Calibrate {
     Colour(colour::ColourArgs),
     /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller; or from lit frames alone.
     Repeatability(RepeatabilityArgs),
+    /// Takes calibrations over from another session of the same rig, with the shots that they come from.
+    Take(take::TakeArgs),
 }
 
 /// Arguments of `unlit calibrate repeatability`.
@@ -83,6 +86,7 @@ pub(super) fn run(what: &Calibrate) -> CliResult {
         Calibrate::Colour(args) => colour::run(args),
         Calibrate::Flash(args) => flash::flash(args),
         Calibrate::Repeatability(args) => repeatability(args),
+        Calibrate::Take(args) => take::run(args),
     }
 }
 
