@@ -6,6 +6,7 @@ use crate::jobs::WorkError;
 use crate::pipeline::flash::{self, CardFacts, CardFiles, FlashError};
 use crate::pipeline::process::{self, ProcessError, ProcessOptions};
 use crate::pipeline::scene::{self, Lengths, SceneError, Unit};
+use crate::pipeline::standing;
 use crate::progress::Progress;
 use crate::session::Session;
 use serde_json::{Value, json};

@@ -1,8 +1,8 @@
 //! The certificate's section: known patches against the texture.
 
-use super::super::certify::{HEAD, Standing, rows};
 use super::{fact, moment};
 use crate::export::report::Block;
+use crate::pipeline::certify::{HEAD, Standing, rows};
 
 pub(super) fn blocks(standing: Option<&Standing>) -> Vec<Block> {
     let Some(Standing { certificate, stale }) = standing else {
