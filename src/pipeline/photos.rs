@@ -148,7 +148,9 @@ pub fn export(
     }
     let (pairs, rejected): (Vec<_>, Vec<_>) =
         session.pairs()?.into_iter().partition(|pair| pair.verdict == Verdict::Accepted);
-    let Some(first) = pairs.first() else { return Err(PhotosError::NoPairs(session.path().to_owned())) };
+    if pairs.is_empty() {
+        return Err(PhotosError::NoPairs(session.path().to_owned()));
+    }
     let cameras = match scene::load_file(session) {
         Ok(file) => file.cameras,
         Err(SceneError::NoScene(_)) => vec![],
