@@ -248,7 +248,7 @@ mod tests {
         let (mut sure, mut wrong, mut inside) = (0, 0, 0);
         for _ in 0..4000 {
             let known = [0; 3].map(|_| 0.03 + 0.9 * even());
-            let bias = 0.04 * (even() - 0.5);
+            let bias = 0.10 * (even() - 0.5);
             let truth = known.map(|k| k * (1.0 + bias));
             let sd = known.map(|k| k * 0.01 * (0.2 + even()));
             // Twelve even ones make a normal one, near enough.

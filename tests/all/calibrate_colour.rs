@@ -135,9 +135,9 @@ fn the_rooms_light_is_taken_off_by_a_second_raw_file() {
     assert_eq!(taken_off["shots"].as_array().unwrap().len(), 2);
     let mean = |record: &Value| record["leave_one_out"]["mean"].as_f64().unwrap();
     println!("dark {}, room taken off {}, left on {}", mean(&dark), mean(&taken_off), mean(&left_on));
-    assert!((mean(&taken_off) - mean(&dark)).abs() < 0.02 && mean(&left_on) > mean(&dark) + 0.5);
+    assert!((mean(&taken_off) - mean(&dark)).abs() < 0.1 && mean(&left_on) > mean(&dark) + 0.5);
     let white = |record: &Value| rows(&Value::Array(vec![record["white_dn"].clone(); 3]))[0];
     for (a, b) in white(&taken_off).into_iter().zip(white(&dark)) {
-        assert!((a / b - 1.0).abs() < 0.002, "{a} for {b}");
+        assert!((a / b - 1.0).abs() < 0.005, "{a} for {b}");
     }
 }

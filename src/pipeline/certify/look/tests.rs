@@ -78,7 +78,7 @@ fn a_place_is_the_same_by_point_quadrangle_texture_and_view() {
         // From 1 m at 150 pixels a unit, y upwards: 5 cm are 7.5 pixels.
         Place::View {
             name: "a".into(),
-            polygon_px: vec![[54.5, 39.5], [60.5, 39.5], [60.5, 45.5], [54.5, 45.5]],
+            polygon_px: vec![[54.0, 39.0], [61.0, 39.0], [61.0, 46.0], [54.0, 46.0]],
         },
     ];
     for place in &places {
@@ -136,7 +136,7 @@ fn a_patch_beside_the_object_is_read_from_the_views_and_their_scatter_told() {
     let both = read(looked.next().unwrap());
     assert!((both.mean[0] - 0.42).abs() < 1e-6, "{both:?}");
     let scatter = 0.02 * std::f64::consts::SQRT_2;
-    assert!(both.deviation.is_some_and(|d| (d[0] - scatter).abs() < 1e-6 && d[1] == 0.0), "{both:?}");
+    assert!(both.deviation.is_some_and(|d| (d[0] - scatter).abs() < 1e-6 && d[1] < 1e-9), "{both:?}");
     let one = read(looked.next().unwrap());
     assert!((one.mean[0] - 0.44).abs() < 1e-6 && one.deviation.is_none(), "{one:?}");
     assert!(matches!(&one.source, Source::Views { names, .. } if names == &["b"]), "{one:?}");
