@@ -57,6 +57,11 @@ pub enum CertifyError {
         /// What is wrong.
         what: String,
     },
+    /// Nobody knows the camera's colours.
+    #[error(
+        "of patch {0:?} the colour is known, but nobody knows this camera's colours: shoot a chart (`unlit calibrate colour`), or give the patch as `grey` or `camera_rgb`"
+    )]
+    NoColour(String),
     /// A picture of the model that is not what it should be.
     #[error("the pictures in {} do not fit each other: run `unlit process` again", .0.display())]
     Unfit(PathBuf),
@@ -158,25 +163,15 @@ pub fn certify(session: &Session, file: &Path, progress: &Progress) -> Result<Ce
     let bytes = std::fs::read(file).map_err(|source| CertifyError::Read { path: file.to_owned(), source })?;
     let model = standing::standing(session)?.ok_or(CertifyError::NoModel)?;
     let names: Vec<&str> = model.summary.used.iter().map(String::as_str).collect();
-    let list = PatchList::parse(&bytes, &names)?;
+    let patches = PatchList::parse(&bytes, &names)?;
     let pairs: Vec<&PairRecord> = model.inputs.matched.iter().map(|(pair, _)| &**pair).collect();
     let colours = SessionColours::known(session, &pairs)?;
-    let known = list
-        .patches
-        .iter()
-        .map(|patch| {
-            let wrong = |what| CertifyError::Patch { name: patch.name.clone(), what };
-            patch.known.in_camera_rgb(colours.matrix.as_ref()).map_err(wrong)
-        })
-        .collect::<Result<Vec<_>, _>>()?;
-    let looked = look_at(session, &model.inputs.scene, &list, &names, progress)?;
-    let results: Vec<PatchResult> = list
-        .patches
-        .into_iter()
-        .zip(known)
-        .zip(looked)
-        .map(|((patch, known), looked)| result(patch, known, looked, &colours))
-        .collect();
+    if let (None, Some(patch)) = (&colours.matrix, patches.iter().find(|p| p.known.needs_matrix())) {
+        return Err(CertifyError::NoColour(patch.name.clone()));
+    }
+    let looked = look_at(session, &model.inputs.scene, &patches, &names, progress)?;
+    let results: Vec<PatchResult> =
+        patches.into_iter().zip(looked).map(|(patch, looked)| result(patch, looked, &colours)).collect();
     let made = inputs(session, &bytes)?;
     let mut certificate = finish(session, results, made, colours.matrix.map(|m| m.basis));
     certificate.verdict.sentences.extend(colours.note);
@@ -192,22 +187,22 @@ pub fn certify(session: &Session, file: &Path, progress: &Progress) -> Result<Ce
 fn look_at(
     session: &Session,
     scene: &crate::scene::Scene,
-    list: &PatchList,
+    patches: &[KnownPatch],
     views: &[&str],
     progress: &Progress,
 ) -> Result<Vec<Looked>, CertifyError> {
     progress.report("looking for the patches", 0, 1);
     let folder = session.model_dir();
     let mut surface = Surface::read(scene, &folder)?.ok_or_else(|| CertifyError::Unfit(folder))?;
-    if list.patches.iter().any(|p| matches!(p.place, Place::Point { .. } | Place::Quad { .. })) {
+    if patches.iter().any(|p| matches!(p.place, Place::Point { .. } | Place::Quad { .. })) {
         surface.lay_out()?;
     }
     progress.check()?;
-    let mut looked: Vec<Looked> = list.patches.iter().map(|patch| surface.look(&patch.place)).collect();
+    let mut looked: Vec<Looked> = patches.iter().map(|patch| surface.look(&patch.place)).collect();
     let beside: Vec<usize> = (0..looked.len()).filter(|&k| matches!(looked[k], Looked::Beside)).collect();
     if !beside.is_empty() {
         views::ensure(session, progress)?;
-        let places: Vec<&Place> = beside.iter().map(|&k| &list.patches[k].place).collect();
+        let places: Vec<&Place> = beside.iter().map(|&k| &patches[k].place).collect();
         let read = |name: &str| {
             let path = session.derived_dir().join("views").join(name).join("reflectance.exr");
             let image = exr_image::read(&path)?;
@@ -219,20 +214,17 @@ fn look_at(
     Ok(looked)
 }
 
-fn result(patch: KnownPatch, known: [f64; 3], looked: Looked, colours: &SessionColours) -> PatchResult {
-    match looked {
-        Looked::Found(Found { mean, deviation, source }) => {
-            let lab = colours.matrix.as_ref().map(|matrix| [known, mean].map(|rgb| matrix.lab(rgb)));
+fn result(patch: KnownPatch, looked: Looked, colours: &SessionColours) -> PatchResult {
+    let matrix = colours.matrix.as_ref();
+    let unseen = |patch, why| PatchResult { patch, read: None, comparison: None, not_seen: Some(why) };
+    match (looked, patch.known.in_camera_rgb(matrix)) {
+        (Looked::Found(Found { mean, deviation, source }), Ok(known)) => {
+            let lab = matrix.map(|matrix| [known, mean].map(|rgb| matrix.lab(rgb)));
             let comparison = Comparison::of(&PatchReading { known, found: mean, deviation, lab });
             PatchResult { patch, read: Some(source), comparison: Some(comparison), not_seen: None }
         }
-        Looked::Beside => PatchResult {
-            patch,
-            read: None,
-            comparison: None,
-            not_seen: Some("no surface lies there".into()),
-        },
-        Looked::Unseen(why) => PatchResult { patch, read: None, comparison: None, not_seen: Some(why) },
+        (Looked::Beside, _) => unseen(patch, "no surface lies there".into()),
+        (Looked::Unseen(why), _) | (_, Err(why)) => unseen(patch, why),
     }
 }
 

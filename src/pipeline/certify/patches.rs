@@ -1,7 +1,7 @@
 //! `PATCHES.json`: what is known of patches, and where they are.
 
 use super::CertifyError;
-use crate::calibration::colour::{Lab, xyz};
+use crate::calibration::colour::{ChartKind, Lab, image_from_corners, measured_corners, xyz};
 use crate::export::colour::{LINEAR_SRGB, PCS_WHITE, adapt};
 use crate::pipeline::colour::SessionMatrix;
 use glam::{DVec2, DVec3};
@@ -12,8 +12,25 @@ use std::collections::BTreeSet;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PatchList {
-    /// All patches.
+    /// Single patches.
+    #[serde(default)]
     pub patches: Vec<KnownPatch>,
+    /// Charts of 24.
+    #[serde(default)]
+    pub charts: Vec<KnownChart>,
+}
+
+/// A chart in a photo.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KnownChart {
+    /// Which chart.
+    pub chart: ChartKind,
+    /// The pair's name.
+    pub view: String,
+    /// Outer corners of its corner patches in that photo, pixels: the first patch's (the greys being the lowest row, white
+    /// left: the upper left one), then along the first row and round.
+    pub corners_px: [[f64; 2]; 4],
 }
 
 /// One patch.
@@ -75,21 +92,45 @@ pub enum Place {
 }
 
 impl PatchList {
-    /// Reads the list; refuses what cannot be.
-    pub(super) fn parse(bytes: &[u8], views: &[&str]) -> Result<Self, CertifyError> {
-        let list: Self = serde_json::from_slice(bytes).map_err(|e| CertifyError::Patches(e.to_string()))?;
-        if list.patches.is_empty() {
+    /// Reads the list, charts patch by patch; refuses what cannot be.
+    pub(super) fn parse(bytes: &[u8], views: &[&str]) -> Result<Vec<KnownPatch>, CertifyError> {
+        let Self { mut patches, charts } =
+            serde_json::from_slice(bytes).map_err(|e| CertifyError::Patches(e.to_string()))?;
+        for chart in charts {
+            patches.extend(chart.patches()?);
+        }
+        if patches.is_empty() {
             return Err(CertifyError::Patches("it names no patch".into()));
         }
         let mut names = BTreeSet::new();
-        for patch in &list.patches {
+        for patch in &patches {
             let wrong = |what: String| CertifyError::Patch { name: patch.name.clone(), what };
             if !names.insert(patch.name.as_str()) {
                 return Err(wrong("is named twice; give each its own name".into()));
             }
             patch.known.check().and_then(|()| patch.place.check(views)).map_err(wrong)?;
         }
-        Ok(list)
+        Ok(patches)
+    }
+}
+
+impl KnownChart {
+    /// Its patches, the middle of each.
+    fn patches(&self) -> Result<Vec<KnownPatch>, CertifyError> {
+        let Self { chart, view, corners_px } = self;
+        let image_from_chart = image_from_corners(corners_px.map(DVec2::from_array)).ok_or_else(|| {
+            let what = format!("has corners in view {view} that are no quadrangle: give them in order");
+            CertifyError::Patch { name: chart.name().into(), what }
+        })?;
+        let patch = |(k, (name, lab)): (usize, &(&str, Lab))| {
+            let polygon_px = measured_corners(&image_from_chart, k).map(|p| p.to_array()).to_vec();
+            KnownPatch {
+                name: format!("{name}, chart in view {view}"),
+                known: KnownColour::LabD50(*lab),
+                place: Place::View { name: view.clone(), polygon_px },
+            }
+        };
+        Ok(chart.patches().iter().enumerate().map(patch).collect())
     }
 }
 
@@ -110,6 +151,11 @@ impl KnownColour {
         }
     }
 
+    /// Whether it is a colour, which only a camera whose colours are known can be compared with.
+    pub(super) fn needs_matrix(&self) -> bool {
+        matches!(self, Self::LinearSrgb(_) | Self::LabD50(_))
+    }
+
     /// In camera RGB. An error says why it cannot be told.
     pub(super) fn in_camera_rgb(&self, matrix: Option<&SessionMatrix>) -> Result<[f64; 3], String> {
         let xyz_d50 = match *self {
@@ -122,14 +168,14 @@ impl KnownColour {
             Self::LabD50(lab) => xyz(lab),
         };
         let matrix = matrix.ok_or(
-            "is known by its colour, but nobody knows this camera's colours: shoot a chart (`unlit calibrate colour`), or \
+            "its colour is known, but nobody knows this camera's colours: shoot a chart (`unlit calibrate colour`), or \
              give it as `grey` or `camera_rgb`",
         )?;
         let rgb = matrix.xyz_from_camera().inverse() * xyz_d50;
         if !(rgb.is_finite() && rgb.cmpgt(DVec3::ZERO).all()) {
             let [r, g, b] = rgb.to_array();
             return Err(format!(
-                "is a colour that the camera's matrix makes {r:.4} {g:.4} {b:.4} in its own RGB, which no surface is: check the values"
+                "it is a colour that the camera's matrix makes {r:.4} {g:.4} {b:.4} in the camera's RGB, of which no share can be taken"
             ));
         }
         Ok(rgb.to_array())
@@ -215,7 +261,7 @@ mod tests {
             |place: &str| format!("{{\"name\": \"g\", \"known\": {{\"grey\": 0.18}}, \"place\": {place}}}");
         let point = grey("{\"point\": {\"at_m\": [0, 0, 1], \"radius_m\": 0.01}}");
         let text = format!("{{\"patches\": [{point}]}}");
-        assert_eq!(PatchList::parse(text.as_bytes(), &[]).unwrap().patches[0].known, KnownColour::Grey(0.18));
+        assert_eq!(PatchList::parse(text.as_bytes(), &[]).unwrap()[0].known, KnownColour::Grey(0.18));
         for (patch, words) in [
             (format!("{point}, {point}"), "named twice"),
             (String::new(), "names no patch"),
@@ -231,6 +277,15 @@ mod tests {
             let told = refused(&patch);
             assert!(told.contains(words), "{told}");
         }
+        let chart =
+            "{\"charts\": [{\"chart\": \"colorchecker24\", \"view\": \"0001\", \"corners_px\": CORNERS}]}";
+        let turned = chart.replace("CORNERS", "[[100, 100], [700, 100], [700, 500], [100, 500]]");
+        let all = PatchList::parse(turned.as_bytes(), &["0001"]).unwrap();
+        assert!(all.len() == 24 && all[0].name.starts_with("dark skin"), "{:?}", all[0]);
+        let Place::View { polygon_px, .. } = &all[23].place else { panic!("{:?}", all[23]) };
+        assert!(polygon_px.iter().all(|p| (p[0] - 650.0).abs() < 40.0 && (p[1] - 450.0).abs() < 40.0));
+        let line = chart.replace("CORNERS", "[[1, 1], [2, 2], [3, 3], [4, 4]]");
+        assert!(PatchList::parse(line.as_bytes(), &["0001"]).is_err());
         let quad = grey("{\"quad\": {\"corners_m\": [[0,0,0],[1,0,0],[1,1,0],[0,1,0]]}}");
         let text = format!("{{\"patches\": [{quad}]}}");
         assert!(PatchList::parse(text.as_bytes(), &[]).is_ok());
