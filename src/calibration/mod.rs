@@ -1,5 +1,6 @@
 //! Fits from calibration shots. Plain inputs, no files.
 
+pub mod certificate;
 pub mod colour;
 pub mod exposure;
 mod flash;

@@ -6,6 +6,7 @@ use crate::jobs::WorkError;
 use crate::pipeline::flash::{self, CardFacts, CardFiles, FlashError};
 use crate::pipeline::process::{self, ProcessError, ProcessOptions};
 use crate::pipeline::scene::{self, Lengths, SceneError, Unit};
+use crate::pipeline::standing;
 use crate::progress::Progress;
 use crate::session::Session;
 use serde_json::{Value, json};
@@ -26,7 +27,7 @@ pub(super) fn works() -> Result<Works, rayon::ThreadPoolBuildError> {
         has_scene: Arc::new(|session| session.scene_dir().join("scene.json").is_file()),
         has_flash_calibration: Arc::new(flash::exists),
         // What lacks something to be made from is told by whoever asks for it.
-        needs_processing: Arc::new(|session| process::is_due(session).unwrap_or(false)),
+        needs_processing: Arc::new(|session| standing::is_due(session).unwrap_or(false)),
     })
 }
 

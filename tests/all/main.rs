@@ -19,6 +19,7 @@ mod camera;
 mod camera_faults;
 mod camera_usb;
 mod capture;
+mod certify;
 mod contract;
 mod crowds;
 mod daemon;

@@ -282,7 +282,7 @@ pub(super) fn load<T: DeserializeOwned>(
     serde_json::from_slice(&bytes).map(Some).map_err(damaged)
 }
 
-fn file(session: &Session, kind: &str) -> PathBuf {
+pub(super) fn file(session: &Session, kind: &str) -> PathBuf {
     session.calibration_dir().join(format!("{kind}.json"))
 }
 
