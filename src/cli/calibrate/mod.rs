@@ -6,6 +6,7 @@ mod flash;
 mod flat;
 mod levels;
 mod noise;
+mod report;
 
 use crate::calibration::{Record, Shot, Verdict};
 use crate::capture::{Engine, Events, words_on_repeatability};
@@ -50,6 +51,10 @@ pub(super) enum Calibrate {
     Colour(colour::ColourArgs),
     /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller; or from lit frames alone.
     Repeatability(RepeatabilityArgs),
+    /// Writes calibration/report.html anew: all calibrations of a session on one page, for the screen and for paper.
+    ///
+    /// Every calibration writes it anyway; this is for a certificate made since, or a report that was deleted.
+    Report(report::ReportArgs),
 }
 
 /// Arguments of `unlit calibrate repeatability`.
@@ -83,6 +88,7 @@ pub(super) fn run(what: &Calibrate) -> CliResult {
         Calibrate::Colour(args) => colour::run(args),
         Calibrate::Flash(args) => flash::flash(args),
         Calibrate::Repeatability(args) => repeatability(args),
+        Calibrate::Report(args) => report::run(args),
     }
 }
 
@@ -130,4 +136,3 @@ fn print_verdict(verdict: &Verdict, shots: &[Shot]) {
     }
     println!();
 }
-

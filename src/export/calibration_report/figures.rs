@@ -110,5 +110,7 @@ pub(super) fn swatches(swatches: &Swatches) -> String {
 
 fn begun(class: &str, (width, height): (usize, usize), caption: &str) -> String {
     let caption = escape(caption);
-    format!("<svg class=\"{class}\" viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{caption}\">\n")
+    format!(
+        "<svg class=\"{class}\" viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{caption}\">\n"
+    )
 }

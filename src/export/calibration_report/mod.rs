@@ -120,7 +120,7 @@ pub struct Table {
     /// What they are.
     pub caption: String,
     /// Headings, with units.
-    pub head: Vec<&'static str>,
+    pub head: Vec<String>,
     /// Rows.
     pub rows: Vec<Row>,
 }
@@ -162,7 +162,9 @@ pub fn html(report: &CalibrationReport) -> String {
 
 fn summary(out: &mut String, lines: &[Line]) {
     out.push_str("<section>\n<h2>Summary</h2>\n<div class=\"wide\"><table class=\"summary\">\n<thead><tr>");
-    out.push_str("<th>Calibration</th><th>Verdict</th><th>True of</th><th>Measured</th></tr></thead>\n<tbody>\n");
+    out.push_str(
+        "<th>Calibration</th><th>Verdict</th><th>True of</th><th>Measured</th></tr></thead>\n<tbody>\n",
+    );
     for line in lines {
         let name = escape(line.name);
         let name = match line.part {
@@ -208,7 +210,11 @@ fn piece(out: &mut String, piece: &Piece, letter: char) {
         Piece::Table(table) => figures_table(out, table, letter),
         Piece::Picture { kind, bytes, caption } => {
             let alt = escape(caption);
-            figure(out, &format!("<img alt=\"{alt}\" src=\"data:{kind};base64,{}\"/>", base64(bytes)), caption);
+            figure(
+                out,
+                &format!("<img alt=\"{alt}\" src=\"data:{kind};base64,{}\"/>", base64(bytes)),
+                caption,
+            );
         }
     }
 }
@@ -243,7 +249,11 @@ fn figures_table(out: &mut String, table: &Table, letter: char) {
     for (k, cell) in table.head.iter().enumerate() {
         put(out, format_args!("<th{}>{}</th>", class(k), escape(cell)));
     }
-    out.push_str(if from { "<th>From shots</th></tr></thead>\n<tbody>\n" } else { "</tr></thead>\n<tbody>\n" });
+    out.push_str(if from {
+        "<th>From shots</th></tr></thead>\n<tbody>\n"
+    } else {
+        "</tr></thead>\n<tbody>\n"
+    });
     for row in &table.rows {
         out.push_str("<tr>");
         for (k, cell) in row.cells.iter().enumerate() {
@@ -286,13 +296,18 @@ fn shots(out: &mut String, part: &Part) {
         return;
     }
     out.push_str(&table_tag(part.shots.len(), "shots"));
-    out.push_str("<caption>Shots</caption>\n<thead><tr><th></th><th></th><th>File in the session</th><th>BLAKE3</th>");
+    out.push_str(
+        "<caption>Shots</caption>\n<thead><tr><th></th><th></th><th>File in the session</th><th>BLAKE3</th>",
+    );
     out.push_str("<th>Exposure</th><th>Use</th></tr></thead>\n<tbody>\n");
     for (k, shot) in part.shots.iter().enumerate() {
         let label = format!("{}{}", part.letter, k + 1);
         let picture = match &shot.thumbnail {
             Some(jpeg) => {
-                format!("<img class=\"thumb\" alt=\"shot {label}\" src=\"data:image/jpeg;base64,{}\"/>", base64(jpeg))
+                format!(
+                    "<img class=\"thumb\" alt=\"shot {label}\" src=\"data:image/jpeg;base64,{}\"/>",
+                    base64(jpeg)
+                )
             }
             None => "-".to_owned(),
         };

@@ -27,13 +27,25 @@ fn everything() -> CalibrationReport {
         ..Plot::from(chart)
     };
     let patch = || Patch { name: evil(), measured: [1, 2, 3], meant: [250, 251, 252], words: evil() };
-    let row = |first: &str, from: &[usize]| Row { cells: vec![first.into(), evil(), "-1.5".into()], from: from.to_vec() };
+    let row = |first: &str, from: &[usize]| Row {
+        cells: vec![first.into(), evil(), "-1.5".into()],
+        from: from.to_vec(),
+    };
     let pieces = vec![
         Piece::Block(Block::Text(evil())),
         Piece::Plot(plot),
-        Piece::Map(Map { caption: evil(), rows: vec![vec![Some(-0.5), None], vec![Some(9.0), Some(-0.0001)]], digits: 1, full: 1.0 }),
+        Piece::Map(Map {
+            caption: evil(),
+            rows: vec![vec![Some(-0.5), None], vec![Some(9.0), Some(-0.0001)]],
+            digits: 1,
+            full: 1.0,
+        }),
         Piece::Swatches(Swatches { caption: evil(), columns: 2, patches: vec![patch(), patch(), patch()] }),
-        Piece::Table(Table { caption: evil(), head: vec!["a", "b", "c"], rows: vec![row(EVIL, &[0, 1, 2, 4]), row("b", &[])] }),
+        Piece::Table(Table {
+            caption: evil(),
+            head: ["a", "b", "c"].map(String::from).into(),
+            rows: vec![row(EVIL, &[0, 1, 2, 4]), row("b", &[])],
+        }),
         Piece::Picture { kind: "image/png", bytes: vec![4, 5], caption: evil() },
     ];
     CalibrationReport {
@@ -41,7 +53,14 @@ fn everything() -> CalibrationReport {
         subtitle: evil(),
         facts: vec![(evil(), evil())],
         summary: [(Mark::Good, Some("flash")), (Mark::Bad, None), (Mark::Missing, None)]
-            .map(|(mark, part)| Line { name: "Flash", part, mark, words: evil(), valid_for: evil(), measured: evil() })
+            .map(|(mark, part)| Line {
+                name: "Flash",
+                part,
+                mark,
+                words: evil(),
+                valid_for: evil(),
+                measured: evil(),
+            })
             .into(),
         parts: vec![Part {
             id: "flash",
@@ -75,7 +94,9 @@ fn the_page_is_well_formed_its_links_lead_somewhere_and_hostile_text_stays_text(
 
 #[test]
 fn figures_stand_right_and_runs_of_shots_are_short() {
-    for (cell, figure) in [("-1.5", true), ("\u{b1}0.2", true), ("-", true), ("", true), ("red", false), ("f/8", false)] {
+    for (cell, figure) in
+        [("-1.5", true), ("\u{b1}0.2", true), ("-", true), ("", true), ("red", false), ("f/8", false)]
+    {
         assert_eq!(is_figure(cell), figure, "{cell}");
     }
     let plain = |from: &[usize]| {

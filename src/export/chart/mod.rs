@@ -6,8 +6,8 @@
 mod axis;
 
 use super::report::put;
-use axis::Axis;
 use crate::codec::markup::escape;
+use axis::Axis;
 
 /// One set of points.
 pub struct Series {
@@ -131,11 +131,17 @@ impl Drawing<'_> {
         for (k, curve) in curves.iter().enumerate() {
             let dashes = DASHES[k % DASHES.len()];
             let path = path(curve.points.iter().filter_map(|p| Some((x.at(p.0)?, y.at(p.1)?))));
-            put(&mut out, format_args!("<path class=\"curve\" stroke-dasharray=\"{dashes}\" d=\"{path}\"/>\n"));
+            put(
+                &mut out,
+                format_args!("<path class=\"curve\" stroke-dasharray=\"{dashes}\" d=\"{path}\"/>\n"),
+            );
             name(&mut out, &mut legend, &curve.name);
             put(
                 &mut out,
-                format_args!("<path class=\"curve\" stroke-dasharray=\"{dashes}\" d=\"M{:.1} 10h18\"/>\n", legend - 18.0),
+                format_args!(
+                    "<path class=\"curve\" stroke-dasharray=\"{dashes}\" d=\"M{:.1} 10h18\"/>\n",
+                    legend - 18.0
+                ),
             );
             legend -= 34.0;
         }
@@ -144,7 +150,10 @@ impl Drawing<'_> {
             if self.joined {
                 let path = path(series.points.iter().filter_map(|p| Some((x.at(p.0)?, y.at(p.1)?))));
                 let dashes = DASHES[k % DASHES.len()];
-                put(&mut out, format_args!("<path class=\"joint\" stroke-dasharray=\"{dashes}\" d=\"{path}\"/>\n"));
+                put(
+                    &mut out,
+                    format_args!("<path class=\"joint\" stroke-dasharray=\"{dashes}\" d=\"{path}\"/>\n"),
+                );
             }
             for &(px, py, error) in &series.points {
                 let (Some(at_x), Some(at_y)) = (x.at(px), y.at(py)) else { continue };
@@ -233,7 +242,8 @@ mod tests {
 
     #[test]
     fn a_plot_draws_its_curves_and_leaves_out_what_a_logarithm_cannot_show() {
-        let series = |name: &str| Series { name: name.into(), points: vec![(0.0, 1.0, 0.1), (10.0, 5.0, 9.0)] };
+        let series =
+            |name: &str| Series { name: name.into(), points: vec![(0.0, 1.0, 0.1), (10.0, 5.0, 9.0)] };
         let plot = Plot {
             chart: Chart {
                 caption: "c".into(),

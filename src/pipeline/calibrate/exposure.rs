@@ -95,7 +95,7 @@ impl SessionScale {
     }
 }
 
-fn figure(fit: &ExposureFit) -> Chart {
+pub(super) fn figure(fit: &ExposureFit) -> Chart {
     let series = fit.ladders.iter().map(|ladder| {
         let points = ladder.steps.iter().map(|step| {
             let half = (step.deviation_95[1] - step.deviation_95[0]) / 2.0;
@@ -131,6 +131,7 @@ mod tests {
             deviation,
             deviation_95: [deviation; 2],
             shots: 1,
+            shot_numbers: vec![],
             frame_share: 1.0,
             pattern_sd: 0.0,
         };

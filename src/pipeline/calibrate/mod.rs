@@ -1,13 +1,15 @@
 //! Calibrations from raw files: the shots are read one by one, the fit is kept with all that it comes from.
 //!
 //! A calibration of the kind `levels` is `calibration/levels.json` (a [`Record`]), `calibration/levels.svg` (its
-//! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already).
+//! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already). Whenever one is kept,
+//! `calibration/report.html` is written anew ([`report`]).
 
 pub mod colour;
 pub mod exposure;
 pub mod flat;
 pub mod levels;
 pub mod noise;
+pub mod report;
 
 use super::levels as sensor_levels;
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
@@ -105,6 +107,8 @@ pub(super) struct Series<'a> {
     shots: Vec<Shot>,
     /// Where each shot was read from.
     paths: Vec<PathBuf>,
+    /// A small picture of each, for the report; absent where there is nothing to see.
+    pictures: Vec<Option<Vec<u8>>>,
 }
 
 impl<'a> Series<'a> {
@@ -116,7 +120,15 @@ impl<'a> Series<'a> {
         } else {
             sensor_levels::load(session)?
         };
-        Ok(Self { session, kind, measured, rig: Rig::default(), shots: vec![], paths: vec![] })
+        Ok(Self {
+            session,
+            kind,
+            measured,
+            rig: Rig::default(),
+            shots: vec![],
+            paths: vec![],
+            pictures: vec![],
+        })
     }
 
     /// Reads the next shot; it must be of the same body and lens as those before. Its number in the series is the
@@ -143,6 +155,7 @@ impl<'a> Series<'a> {
         let file = self.place(path, &blake3);
         self.shots.push(Shot { file, blake3, shutter, aperture, iso, left_out: None });
         self.paths.push(path.to_owned());
+        self.pictures.push(report::shots::picture(&photo.mosaic).ok());
         Ok(photo)
     }
 
@@ -169,7 +182,8 @@ impl<'a> Series<'a> {
         self.shots[shot].left_out = Some(why);
     }
 
-    /// Copies the shots into the session, and keeps the fit and its figure; on the disk when this returns.
+    /// Copies the shots into the session, keeps the fit and its figure, and writes the report; on the disk when this
+    /// returns.
     pub(super) fn keep<T: Serialize>(
         self,
         fit: T,
@@ -177,7 +191,7 @@ impl<'a> Series<'a> {
         figure: &Chart,
         progress: &Progress,
     ) -> Result<Record<T>, SeriesError> {
-        let Self { session, kind, rig, shots, paths, .. } = self;
+        let Self { session, kind, rig, shots, paths, pictures, .. } = self;
         let count = paths.len();
         for (done, (shot, path)) in shots.iter().zip(&paths).enumerate() {
             progress.check()?;
@@ -202,6 +216,12 @@ impl<'a> Series<'a> {
             .map_err(|e| RecordError::Damaged { path: path.clone(), reason: e.to_string() })?;
         session.keep(&path, &bytes)?;
         progress.report("copying the shots", count, count);
+        for (shot, picture) in record.shots.iter().zip(pictures) {
+            if let Some(picture) = picture {
+                report::shots::keep(session, &shot.blake3, &picture)?;
+            }
+        }
+        report::write(session, progress)?;
         Ok(record)
     }
 }
