@@ -160,6 +160,11 @@ pub fn html(report: &CalibrationReport) -> String {
     out
 }
 
+/// Escaped text whose per cent signs stay with their numbers.
+fn text(words: &str) -> String {
+    escape(words).replace(" %", "\u{a0}%")
+}
+
 fn summary(out: &mut String, lines: &[Line]) {
     out.push_str("<section>\n<h2>Summary</h2>\n<div class=\"wide\"><table class=\"summary\">\n<thead><tr>");
     out.push_str(
@@ -174,10 +179,10 @@ fn summary(out: &mut String, lines: &[Line]) {
         put(
             out,
             format_args!(
-                "<tr class=\"{}\"><td>{name}</td><td><b>{}</b>: {}</td><td>{}</td><td>{}</td></tr>\n",
+                "<tr class=\"{}\"><td>{name}</td><td><b>{}</b>: {}</td><td>{}</td><td class=\"short\">{}</td></tr>\n",
                 line.mark.class(),
                 line.mark.words(),
-                escape(&line.words),
+                text(&line.words),
                 escape(&line.valid_for),
                 escape(&line.measured)
             ),
@@ -192,7 +197,7 @@ fn part(out: &mut String, part: &Part) {
     put(out, format_args!("<p class=\"verdict {}\"><b>{}</b></p>\n", mark.class(), mark.words()));
     if !part.sentences.is_empty() {
         out.push_str("<ul>\n");
-        part.sentences.iter().for_each(|s| put(out, format_args!("<li>{}</li>\n", escape(s))));
+        part.sentences.iter().for_each(|s| put(out, format_args!("<li>{}</li>\n", text(s))));
         out.push_str("</ul>\n");
     }
     lay_out(out, &Block::Facts(part.facts.clone()));
@@ -225,7 +230,7 @@ fn figure(out: &mut String, drawing: &str, caption: &str) {
         out,
         format_args!(
             "<figure><div class=\"wide\">{drawing}</div><figcaption>{}</figcaption></figure>\n",
-            escape(caption)
+            text(caption)
         ),
     );
 }
@@ -233,21 +238,37 @@ fn figure(out: &mut String, drawing: &str, caption: &str) {
 /// Rows above which a table may be cut between two pages.
 const LONG: usize = 24;
 
-fn table_tag(rows: usize, class: &str) -> String {
+/// Begins a table under its caption, which may be wider than the table.
+fn begin_table(out: &mut String, caption: &str, rows: usize, class: &str) {
     let long = if rows > LONG { " long" } else { "" };
-    format!("<div class=\"wide\"><table class=\"{class}{long}\">\n")
+    let caption = text(caption);
+    put(
+        out,
+        format_args!("<div class=\"wide{long}\"><h3>{caption}</h3>\n<table class=\"{class}\">\n<thead><tr>"),
+    );
 }
 
+const END_OF_TABLE: &str = "</tbody>\n</table></div>\n";
+
+/// Characters up to which a cell is not broken into lines.
+const SHORT: usize = 24;
+
 fn figures_table(out: &mut String, table: &Table, letter: char) {
-    let right: Vec<bool> = (0..table.head.len())
-        .map(|k| k > 0 && table.rows.iter().filter_map(|row| row.cells.get(k)).all(|cell| is_figure(cell)))
-        .collect();
+    let class = |k: usize| {
+        let mut cells = table.rows.iter().filter_map(|row| row.cells.get(k));
+        if k > 0 && cells.clone().all(|cell| is_figure(cell)) {
+            " class=\"n\""
+        } else if cells.all(|cell| cell.chars().count() <= SHORT) {
+            " class=\"short\""
+        } else {
+            ""
+        }
+    };
+    let classes: Vec<&str> = (0..table.head.len()).map(class).collect();
     let from = table.rows.iter().any(|row| !row.from.is_empty());
-    let class = |k: usize| if right.get(k) == Some(&true) { " class=\"n\"" } else { "" };
-    out.push_str(&table_tag(table.rows.len(), "figures"));
-    put(out, format_args!("<caption>{}</caption>\n<thead><tr>", escape(&table.caption)));
-    for (k, cell) in table.head.iter().enumerate() {
-        put(out, format_args!("<th{}>{}</th>", class(k), escape(cell)));
+    begin_table(out, &table.caption, table.rows.len(), "figures");
+    for (cell, class) in table.head.iter().zip(&classes) {
+        put(out, format_args!("<th{class}>{}</th>", text(cell)));
     }
     out.push_str(if from {
         "<th>From shots</th></tr></thead>\n<tbody>\n"
@@ -256,15 +277,15 @@ fn figures_table(out: &mut String, table: &Table, letter: char) {
     });
     for row in &table.rows {
         out.push_str("<tr>");
-        for (k, cell) in row.cells.iter().enumerate() {
-            put(out, format_args!("<td{}>{}</td>", class(k), escape(cell)));
+        for (cell, class) in row.cells.iter().zip(&classes) {
+            put(out, format_args!("<td{class}>{}</td>", text(cell)));
         }
         if from {
             put(out, format_args!("<td class=\"from\">{}</td>", links(&row.from, letter)));
         }
         out.push_str("</tr>\n");
     }
-    out.push_str("</tbody>\n</table></div>\n");
+    out.push_str(END_OF_TABLE);
 }
 
 /// Whether a cell holds a number, or a dash in place of one.
@@ -295,10 +316,8 @@ fn shots(out: &mut String, part: &Part) {
     if part.shots.is_empty() {
         return;
     }
-    out.push_str(&table_tag(part.shots.len(), "shots"));
-    out.push_str(
-        "<caption>Shots</caption>\n<thead><tr><th></th><th></th><th>File in the session</th><th>BLAKE3</th>",
-    );
+    begin_table(out, "Shots", part.shots.len(), "shots");
+    out.push_str("<th></th><th></th><th>File in the session</th><th>BLAKE3</th>");
     out.push_str("<th>Exposure</th><th>Use</th></tr></thead>\n<tbody>\n");
     for (k, shot) in part.shots.iter().enumerate() {
         let label = format!("{}{}", part.letter, k + 1);
@@ -317,16 +336,16 @@ fn shots(out: &mut String, part: &Part) {
             out,
             format_args!(
                 "<tr id=\"{label}\" class=\"{class}\"><td><b>{label}</b></td><td>{picture}</td><td class=\"file\">{}</td>\
-                 <td><code title=\"{}\">{}</code></td><td>{}</td><td>{}</td></tr>\n",
+                 <td><code title=\"{}\">{}</code></td><td class=\"short\">{}</td><td>{}</td></tr>\n",
                 escape(&shot.file),
                 escape(&shot.blake3),
                 escape(short),
                 escape(&shot.exposure),
-                escape(&shot.role)
+                text(&shot.role)
             ),
         );
     }
-    out.push_str("</tbody>\n</table></div>\n");
+    out.push_str(END_OF_TABLE);
 }
 
 #[cfg(test)]

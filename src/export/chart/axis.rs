@@ -39,10 +39,10 @@ impl Axis {
 
     /// Round values along the axis, as they are written.
     pub(super) fn ticks(&self) -> Vec<(f64, String)> {
-        if self.logarithmic && self.high - self.low > 0.7 {
+        if self.logarithmic && self.high - self.low > 1.2 {
             return decades(self.low, self.high);
         }
-        // A logarithmic axis of less than a decade has the round values of a straight one.
+        // A logarithmic axis of about a decade has the round values of a straight one.
         let ends = [self.low, self.high];
         let [low, high] = if self.logarithmic { ends.map(|end| 10f64.powf(end)) } else { ends };
         let (values, decimals) = ticks(low, high);
@@ -110,7 +110,7 @@ mod tests {
         assert!((step(ten, hundred) - step(hundred, thousand)).abs() < 1e-9);
         let short = Axis::over([0.2, 0.9].into_iter(), true, [0.0, 100.0]);
         assert!(short.ticks().len() >= 3, "{:?}", short.ticks());
-        let two = Axis::over([0.3, 40.0].into_iter(), true, [0.0, 1.0]);
+        let two = Axis::over([0.3, 60.0].into_iter(), true, [0.0, 1.0]);
         let words: Vec<String> = two.ticks().into_iter().map(|(_, word)| word).collect();
         assert_eq!(words, ["0.5", "1", "2", "5", "10", "20", "50"]);
     }

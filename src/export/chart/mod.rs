@@ -192,9 +192,10 @@ fn name(out: &mut String, legend: &mut f64, words: &str) {
 fn class(name: &str, number: usize) -> &'static str {
     match (name, number) {
         ("red", _) => "red",
-        ("green", _) | (_, 2) => "s2",
+        ("green", _) => "s2",
         ("blue", _) => "s0",
         (_, 1) => "s1",
+        (_, 2) => "s2",
         _ => "s0",
     }
 }

@@ -76,7 +76,9 @@ fn plain(value: &Value) -> Option<String> {
         Value::Bool(yes) => Some(if *yes { "yes" } else { "no" }.to_owned()),
         Value::Number(number) if number.is_f64() => number.as_f64().map(|v| format!("{v:.4}")),
         Value::Number(number) => Some(number.to_string()),
-        Value::Array(values) => values.iter().map(plain).collect::<Option<Vec<_>>>().map(|v| v.join("  ")),
+        Value::Array(values) => {
+            values.iter().map(plain).collect::<Option<Vec<_>>>().map(|v| v.join("\u{a0}\u{a0}"))
+        }
         Value::Null | Value::Object(_) => None,
     }
 }
@@ -116,6 +118,6 @@ mod tests {
             Some(table.rows[row].cells[column].as_str())
         };
         assert_eq!((cell(0, "error"), cell(1, "error")), (Some("0.0120"), Some("-")));
-        assert_eq!((cell(0, "rgb"), cell(0, "deep")), (Some("0.1000  0.2000"), None));
+        assert_eq!((cell(0, "rgb"), cell(0, "deep")), (Some("0.1000\u{a0}\u{a0}0.2000"), None));
     }
 }

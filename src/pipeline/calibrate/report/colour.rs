@@ -144,7 +144,8 @@ fn matrices(kept: &SessionColour, from: &[usize]) -> Piece {
 }
 
 fn patches(fit: &ColourFit, from: &[usize]) -> Piece {
-    let three = |values: [f64; 3], digits: usize| values.map(|v| format!("{v:.digits$}")).join("  ");
+    let three =
+        |values: [f64; 3], digits: usize| values.map(|v| format!("{v:.digits$}")).join("\u{a0}\u{a0}");
     let rows = fit.patches.iter().enumerate().map(|(k, patch)| Row {
         cells: vec![
             (k + 1).to_string(),

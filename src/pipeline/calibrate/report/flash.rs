@@ -214,7 +214,7 @@ fn cards(fit: &FlashCalibration, shots: &[Option<usize>]) -> Piece {
                 format!("{:.1}", 100.0 * card.clipped),
                 match (card.used, card.held_out) {
                     (true, _) => "used",
-                    (false, true) => "kept from the fit",
+                    (false, true) => "held out",
                     (false, false) => "left out",
                 }
                 .to_owned(),

@@ -41,7 +41,7 @@ fn black(levels: &IsoLevels, dark: &[usize], all: &[usize]) -> Table {
     let half = |error: Option<f64>| error.map_or_else(|| "-".to_owned(), |e| format!("\u{b1}{:.4}", Z95 * e));
     let rows = levels.sites.iter().map(|site| Row {
         cells: vec![
-            format!("{} (row {}, column {})", site.colour, site.row, site.column),
+            format!("{} ({}, {})", site.colour, site.row, site.column),
             or_dash(site.black_dn, 3),
             half(site.black_error_dn),
             or_dash(site.masked_black_dn, 3),
@@ -55,7 +55,7 @@ fn black(levels: &IsoLevels, dark: &[usize], all: &[usize]) -> Table {
     Table {
         caption: format!("Black and read noise at {}, from {source}{hot}", levels.iso),
         head: head(&[
-            "Filter position",
+            "Filter (row, column)",
             "Black, DN",
             "95 %",
             "Masked border, DN",
@@ -76,7 +76,7 @@ fn saturation(levels: &IsoLevels, blown: &[usize]) -> Table {
         };
         Row {
             cells: vec![
-                format!("{} (row {}, column {})", site.colour, site.row, site.column),
+                format!("{} ({}, {})", site.colour, site.row, site.column),
                 or_dash(site.saturation_dn, 0),
                 or_dash(site.clipped_from_dn, 0),
                 note,
@@ -86,7 +86,7 @@ fn saturation(levels: &IsoLevels, blown: &[usize]) -> Table {
     });
     Table {
         caption: format!("Saturation at {}", levels.iso),
-        head: head(&["Filter position", "Saturation, DN", "Taken for clipped from, DN", "Note"]),
+        head: head(&["Filter (row, column)", "Saturation, DN", "Taken for clipped from, DN", "Note"]),
         rows: rows.collect(),
     }
 }

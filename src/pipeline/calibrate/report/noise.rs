@@ -2,7 +2,7 @@
 
 use super::{Told, Z95, ends, figure, figures, head, or_dash, used};
 use crate::calibration::Record;
-use crate::calibration::noise::{IsoNoise, Linearity, NoiseFit};
+use crate::calibration::noise::{IsoNoise, Linearity, NoiseFit, PairResidual};
 use crate::export::calibration_report::{Piece, Row, Table};
 use crate::export::chart::{Chart, Curve, Plot, Series};
 use crate::session::Session;
@@ -166,43 +166,72 @@ fn numbers(noise: &IsoNoise, all: &[usize], lit: &[usize]) -> Piece {
     figures(&format!("Figures at {}", noise.iso), rows)
 }
 
+/// Levels of light, the colours of each beside each other.
 fn steps(noise: &IsoNoise, linearity: &Linearity, lit: &[usize]) -> Piece {
-    let rows = linearity.steps.iter().map(|step| Row {
-        cells: vec![
-            format!("{:.3}", step.light),
-            step.colour.clone(),
-            format!("{:.1}", step.signal_dn),
-            format!("{:+.3}", 100.0 * step.deviation),
-            format!("\u{b1}{:.3}", 100.0 * Z95 * step.deviation_error),
-        ],
-        from: lit.to_vec(),
+    let mut lights: Vec<f64> = linearity.steps.iter().map(|step| step.light).collect();
+    lights.sort_by(f64::total_cmp);
+    lights.dedup();
+    let rows = lights.into_iter().map(|light| {
+        let own =
+            COLOURS.map(|c| linearity.steps.iter().find(|step| step.light == light && step.colour == c));
+        let signals = own.map(|step| or_dash(step.map(|s| s.signal_dn), 1));
+        let deviations = own.map(|step| match step {
+            Some(s) => format!("{:+.3} \u{b1}{:.3}", 100.0 * s.deviation, 100.0 * Z95 * s.deviation_error),
+            None => "-".into(),
+        });
+        let cells = std::iter::once(format!("{light:.3}")).chain(signals).chain(deviations);
+        Row { cells: cells.collect(), from: lit.to_vec() }
     });
     Piece::Table(Table {
-        caption: format!("Linearity at {}, level by level", noise.iso),
-        head: head(&["Light, 1 at the dimmest", "Colour", "Signal, DN", "Deviation, %", "95 %"]),
+        caption: format!(
+            "Linearity at {}: signal in DN above black, and its deviation from the line in %",
+            noise.iso
+        ),
+        head: head(&["Light, 1 at the dimmest", "Red", "Green", "Blue", "Red, %", "Green, %", "Blue, %"]),
         rows: rows.collect(),
     })
 }
 
+/// Pairs of frames, the colours of each beside each other.
 fn residuals(noise: &IsoNoise) -> Piece {
-    let rows = noise.residuals.iter().map(|r| Row {
-        cells: vec![
-            format!("{:.1}", r.signal_dn),
-            r.colour.clone(),
-            format!("{:.2}", r.variance_dn2),
-            format!("{:.2}", r.model_dn2),
-            format!("{:+.2}", (r.variance_dn2 - r.model_dn2) / r.variance_error_dn2.max(f64::MIN_POSITIVE)),
-        ],
-        from: vec![],
+    // A pair's colours stand in their order, and a colour of which it has no tile is absent.
+    let mut pairs: Vec<[Option<&PairResidual>; 3]> = vec![];
+    for residual in &noise.residuals {
+        let Some(own) = COLOURS.iter().position(|colour| *colour == residual.colour) else { continue };
+        match pairs.last_mut() {
+            Some(last) if last[own..].iter().all(Option::is_none) => last[own] = Some(residual),
+            _ => {
+                let mut pair = [None; 3];
+                pair[own] = Some(residual);
+                pairs.push(pair);
+            }
+        }
+    }
+    let off = |r: &PairResidual| (r.variance_dn2 - r.model_dn2) / r.variance_error_dn2.max(f64::MIN_POSITIVE);
+    let rows = pairs.into_iter().enumerate().map(|(number, pair)| {
+        let signals = pair.map(|r| or_dash(r.map(|r| r.signal_dn), 1));
+        let variances = pair.map(|r| or_dash(r.map(|r| r.variance_dn2), 2));
+        let errors = pair.map(|r| r.map_or_else(|| "-".into(), |r| format!("{:+.2}", off(r))));
+        let cells = std::iter::once((number + 1).to_string()).chain(signals).chain(variances).chain(errors);
+        Row { cells: cells.collect(), from: vec![] }
     });
     Piece::Table(Table {
-        caption: format!("Residuals of the photon transfer at {}, pair by pair", noise.iso),
+        caption: format!(
+            "Residuals of the photon transfer at {}, pair by pair: signal in DN, variance in DN\u{b2}, and how far it is off the line, \
+             in standard errors",
+            noise.iso
+        ),
         head: head(&[
-            "Signal, DN",
-            "Colour",
-            "Variance, DN\u{b2}",
-            "Line, DN\u{b2}",
-            "Residual, standard errors",
+            "Pair",
+            "Signal R",
+            "Signal G",
+            "Signal B",
+            "Variance R",
+            "Variance G",
+            "Variance B",
+            "Off R",
+            "Off G",
+            "Off B",
         ]),
         rows: rows.collect(),
     })

@@ -31,7 +31,7 @@ pub(super) fn tell(_: &Session, record: &Record<Steadiness>) -> Told {
     let frames = fit.frames.iter().enumerate().map(|(number, frame)| Row {
         cells: vec![
             (number + 1).to_string(),
-            frame.light_dn.map(|dn| format!("{dn:.2}")).join("  "),
+            frame.light_dn.map(|dn| format!("{dn:.2}")).join("\u{a0}\u{a0}"),
             format!("{:.5}", frame.relative_light),
             or_dash(frame.energy_counts, 1),
             or_dash(frame.relative_light_by_energy, 5),
