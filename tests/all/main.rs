@@ -13,6 +13,8 @@ mod calibrate_flash;
 mod calibrate_flat;
 mod calibrate_levels;
 mod calibrate_noise;
+mod calibrate_report;
+mod calibrate_take;
 mod camera;
 mod camera_faults;
 mod camera_usb;

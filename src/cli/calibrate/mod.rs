@@ -7,6 +7,7 @@ mod flat;
 mod levels;
 mod noise;
 mod report;
+mod take;
 
 use crate::calibration::{Record, Shot, Verdict};
 use crate::capture::{Engine, Events, words_on_repeatability};
@@ -55,6 +56,8 @@ pub(super) enum Calibrate {
     ///
     /// Every calibration writes it anyway; this is for a certificate made since, or a report that was deleted.
     Report(report::ReportArgs),
+    /// Takes calibrations over from another session of the same rig, with the shots that they come from.
+    Take(take::TakeArgs),
 }
 
 /// Arguments of `unlit calibrate repeatability`.
@@ -89,6 +92,7 @@ pub(super) fn run(what: &Calibrate) -> CliResult {
         Calibrate::Flash(args) => flash::flash(args),
         Calibrate::Repeatability(args) => repeatability(args),
         Calibrate::Report(args) => report::run(args),
+        Calibrate::Take(args) => take::run(args),
     }
 }
 

@@ -10,6 +10,7 @@ pub mod flat;
 pub mod levels;
 pub mod noise;
 pub mod report;
+pub mod take;
 
 use super::levels as sensor_levels;
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
@@ -17,7 +18,7 @@ use crate::codec::raw::{Photo, RawError};
 use crate::export::chart::{self, Chart};
 use crate::photometry::levels::MeasuredLevels;
 use crate::progress::{Cancelled, Progress};
-use crate::session::{Session, SessionError, store, utc_now};
+use crate::session::{Session, SessionError, store as disk, utc_now};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::io::ErrorKind;
@@ -139,7 +140,7 @@ impl<'a> Series<'a> {
         let settings = &photo.settings;
         let other = |source| SeriesError::OtherRig { path: path.to_owned(), source };
         self.rig.same_lens(settings, "the first shot").map_err(other)?;
-        let blake3 = store::digest(&bytes);
+        let blake3 = disk::digest(&bytes);
         if let Some(at) = self.shots.iter().position(|shot| shot.blake3 == blake3) {
             return Err(SeriesError::Twice { path: path.to_owned(), other: self.paths[at].clone() });
         }
@@ -167,9 +168,7 @@ impl<'a> Series<'a> {
         {
             return inside.to_string_lossy().into_owned();
         }
-        let name = path.file_name().map_or_else(Default::default, |name| name.to_string_lossy());
-        let mark = blake3.get(..8).unwrap_or(blake3);
-        format!("calibration/{}/{mark}_{name}", self.kind)
+        copy_name(self.kind, &path.to_string_lossy(), blake3)
     }
 
     /// The shots read so far.
@@ -201,7 +200,7 @@ impl<'a> Series<'a> {
                 continue;
             }
             let bytes = std::fs::read(path).map_err(io(path))?;
-            if store::digest(&bytes) != shot.blake3 {
+            if disk::digest(&bytes) != shot.blake3 {
                 return Err(SeriesError::Changed(path.clone()));
             }
             session.keep(&copy, &bytes)?;
@@ -211,10 +210,7 @@ impl<'a> Series<'a> {
         let record = Record { schema: SCHEMA, measured, software, rig, shots, verdict, fit };
         let folder = session.calibration_dir();
         session.keep(&folder.join(format!("{kind}.svg")), chart::picture(figure).as_bytes())?;
-        let path = file(session, kind);
-        let bytes = serde_json::to_vec_pretty(&record)
-            .map_err(|e| RecordError::Damaged { path: path.clone(), reason: e.to_string() })?;
-        session.keep(&path, &bytes)?;
+        store(session, kind, &record)?;
         progress.report("copying the shots", count, count);
         for (shot, picture) in record.shots.iter().zip(pictures) {
             if let Some(picture) = picture {
@@ -224,6 +220,30 @@ impl<'a> Series<'a> {
         report::write(session, progress)?;
         Ok(record)
     }
+}
+
+/// Where the copy of a shot lies from the session's folder: told apart by content, called as it was.
+fn copy_name(kind: &str, file: &str, blake3: &str) -> String {
+    let mark = format!("{}_", blake3.get(..8).unwrap_or(blake3));
+    let name = file.rsplit('/').next().unwrap_or(file);
+    format!("calibration/{kind}/{mark}{}", name.strip_prefix(&mark).unwrap_or(name))
+}
+
+/// Makes a record the session's calibration of this kind. One that it had goes to `calibration/former/`, under the
+/// date of its measurement: what was processed by it stays traceable.
+fn store<T: Serialize>(session: &Session, kind: &str, record: &Record<T>) -> Result<(), SeriesError> {
+    let path = file(session, kind);
+    let bytes = serde_json::to_vec_pretty(record)
+        .map_err(|e| RecordError::Damaged { path: path.clone(), reason: e.to_string() })?;
+    if let Ok(Some(former)) = load::<serde_json::Map<String, serde_json::Value>>(session, kind) {
+        let now = std::fs::read(&path).map_err(io(&path))?;
+        if now == bytes {
+            return Ok(());
+        }
+        let date = former.measured.replace(':', "");
+        session.keep(&session.calibration_dir().join(format!("former/{kind}_{date}.json")), &now)?;
+    }
+    Ok(session.keep(&path, &bytes)?)
 }
 
 /// A session's calibration of this kind; `None` if it was not made.

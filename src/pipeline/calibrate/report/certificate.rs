@@ -1,9 +1,10 @@
-//! The model's certificate in the report: the comparison of the final reflectance with known patches. Read as plain
-//! JSON, whatever its figures are: `model/certificate.json` has its own account of what they mean.
+//! The model's certificate in the report: the comparison of the final reflectance with known patches. It is read as
+//! plain JSON: what is told in `model/certificate.json` is shown, and nothing is reckoned with it.
 
 use super::{CERTIFICATE, Line, Mark, Page, Part};
 use crate::export::calibration_report::{Piece, Row, Table};
 use crate::pipeline::report::{fact, moment};
+use crate::session::store;
 use serde_json::Value;
 use std::io::ErrorKind;
 
@@ -24,33 +25,33 @@ impl Page<'_> {
 
     fn certified(&mut self, certificate: &Value) {
         let text = |name: &str| certificate.get(name).and_then(Value::as_str).unwrap_or_default();
-        let verdict = certificate.get("verdict");
-        let good = verdict.and_then(|v| v.get("good")).and_then(Value::as_bool);
-        let mark = if good == Some(true) { Mark::Good } else { Mark::Bad };
-        let sentences = verdict.and_then(|v| v.get("sentences")).and_then(Value::as_array);
+        let good = certificate.pointer("/verdict/good").and_then(Value::as_bool);
+        let said = certificate.pointer("/verdict/sentences").and_then(Value::as_array);
         let mut sentences: Vec<String> =
-            sentences.into_iter().flatten().filter_map(Value::as_str).map(str::to_owned).collect();
+            said.into_iter().flatten().filter_map(Value::as_str).map(str::to_owned).collect();
         if good.is_none() {
-            sentences.insert(0, "It holds no verdict that this program understands.".into());
+            sentences.insert(0, "It holds no verdict that this program understands; certify again.".into());
         }
-        let measured =
-            [text("measured"), text("certified"), text("date")].into_iter().find(|t| !t.is_empty());
-        let measured = measured.map(moment).unwrap_or_default();
+        let of = certificate.pointer("/inputs/reflectance_blake3").and_then(Value::as_str);
+        let model = self.session.model_dir().join("reflectance.exr");
+        let stands = of.is_none_or(|of| store::digest_file(&model).is_ok_and(|own| own == of));
+        if !stands {
+            sentences
+                .insert(0, "It is of another model than the one that is there now; certify again.".into());
+        }
+        let mark = if good == Some(true) && stands { Mark::Good } else { Mark::Bad };
+        let made = moment(text("made"));
         self.summary.push(Line {
             part: Some(CERTIFICATE.id),
             valid_for: "this session's model".into(),
-            measured: measured.clone(),
+            measured: made.clone(),
             ..super::line(&CERTIFICATE, mark, sentences.first().cloned().unwrap_or_default())
         });
-        let mut facts = vec![fact("Measured", measured)];
-        let mut pieces = vec![];
-        for (name, value) in certificate.as_object().into_iter().flatten() {
-            match value {
-                Value::Array(rows) if rows.iter().any(Value::is_object) => pieces.push(table(name, rows)),
-                _ if ["verdict", "schema", "measured"].contains(&name.as_str()) => {}
-                _ => facts.extend(plain(value).map(|words| fact(&spoken(name), words))),
-            }
+        let mut facts = vec![fact("Made", format!("{made} UTC, {}", text("software")))];
+        for (name, value) in certificate.get("summary").and_then(Value::as_object).into_iter().flatten() {
+            facts.extend(plain(value).map(|words| fact(&name.replace('_', " "), words)));
         }
+        let patches = certificate.get("patches").and_then(Value::as_array);
         self.parts.push(Part {
             id: CERTIFICATE.id,
             letter: CERTIFICATE.letter,
@@ -58,15 +59,10 @@ impl Page<'_> {
             mark,
             sentences,
             facts,
-            pieces,
+            pieces: patches.map(|patches| table(patches)).into_iter().collect(),
             shots: vec![],
         });
     }
-}
-
-/// A field's name as people write it.
-fn spoken(name: &str) -> String {
-    name.replace('_', " ")
 }
 
 /// A value in one line; `None` for what has parts of its own.
@@ -77,28 +73,40 @@ fn plain(value: &Value) -> Option<String> {
         Value::Number(number) if number.is_f64() => number.as_f64().map(|v| format!("{v:.4}")),
         Value::Number(number) => Some(number.to_string()),
         Value::Array(values) => {
-            values.iter().map(plain).collect::<Option<Vec<_>>>().map(|v| v.join("\u{a0}\u{a0}"))
+            let values: Option<Vec<String>> = values.iter().map(plain).collect();
+            values.map(|values| values.join("\u{a0}\u{a0}"))
         }
         Value::Null | Value::Object(_) => None,
     }
 }
 
-/// Objects in a list as a table of what they have that fits into a line.
-fn table(name: &str, rows: &[Value]) -> Piece {
-    let mut names: Vec<&String> = vec![];
-    for (name, value) in rows.iter().filter_map(Value::as_object).flatten() {
-        if plain(value).is_some() && !names.contains(&name) {
-            names.push(name);
-        }
-    }
-    let cells = |row: &Value| {
-        let cell = |name: &&String| row.get(name.as_str()).and_then(plain).unwrap_or_else(|| "-".into());
-        Row { cells: names.iter().map(cell).collect(), from: vec![] }
+/// Columns of the patches' table, and where their values are.
+const COLUMNS: [(&str, &str); 10] = [
+    ("Patch", "/name"),
+    ("Known reflectance (R G B)", "/comparison/known_reflectance"),
+    ("Found", "/comparison/found_reflectance"),
+    ("Standard deviation", "/comparison/standard_deviation"),
+    ("Error", "/comparison/error"),
+    ("Error / known", "/comparison/relative_error"),
+    ("CIEDE2000", "/comparison/delta_e_2000"),
+    ("Within 5 %", "/comparison/within_5_percent/passes"),
+    ("Within 2 %", "/comparison/within_2_percent/passes"),
+    ("Not seen", "/not_seen"),
+];
+
+/// The patches with what is told of any of them.
+fn table(patches: &[Value]) -> Piece {
+    let told = |path: &str| patches.iter().any(|patch| patch.pointer(path).and_then(plain).is_some());
+    let columns: Vec<(&str, &str)> = COLUMNS.into_iter().filter(|(_, path)| told(path)).collect();
+    let row = |patch: &Value| {
+        let cell =
+            |(_, path): &(&str, &str)| patch.pointer(path).and_then(plain).unwrap_or_else(|| "-".into());
+        Row { cells: columns.iter().map(cell).collect(), from: vec![] }
     };
     Piece::Table(Table {
-        caption: spoken(name),
-        rows: rows.iter().map(cells).collect(),
-        head: names.iter().map(|name| spoken(name)).collect(),
+        caption: "Patches: reflectance in camera RGB".into(),
+        rows: patches.iter().map(row).collect(),
+        head: columns.iter().map(|(name, _)| (*name).to_owned()).collect(),
     })
 }
 
@@ -108,16 +116,16 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn a_list_of_whatever_objects_becomes_a_table() {
-        let rows =
-            [json!({"name": "grey", "error": 0.012, "rgb": [0.1, 0.2]}), json!({"name": "red", "deep": {}})];
-        let Piece::Table(table) = table("known_patches", &rows) else { panic!() };
-        assert_eq!((table.caption.as_str(), table.rows.len()), ("known patches", 2));
-        let cell = |row: usize, name: &str| {
-            let column = table.head.iter().position(|head| head == name)?;
-            Some(table.rows[row].cells[column].as_str())
+    fn patches_become_a_table_of_what_is_told_of_them() {
+        let seen = json!({
+            "name": "grey",
+            "comparison": {"error": [0.012, 0.0, -0.5], "within_5_percent": {"passes": true}}
+        });
+        let Piece::Table(table) = table(&[seen, json!({"name": "red", "not_seen": "hidden"})]) else {
+            panic!()
         };
-        assert_eq!((cell(0, "error"), cell(1, "error")), (Some("0.0120"), Some("-")));
-        assert_eq!((cell(0, "rgb"), cell(0, "deep")), (Some("0.1000\u{a0}\u{a0}0.2000"), None));
+        assert_eq!(table.head, ["Patch", "Error", "Within 5 %", "Not seen"]);
+        assert_eq!(table.rows[0].cells, ["grey", "0.0120\u{a0}\u{a0}0.0000\u{a0}\u{a0}-0.5000", "yes", "-"]);
+        assert_eq!(table.rows[1].cells, ["red", "-", "-", "hidden"]);
     }
 }
