@@ -14,7 +14,7 @@ use crate::pair::energy::{FEWEST_SHOTS, RepeatError, RepeatShot, Repeatability, 
 use crate::pair::{FlashRecord, Reason, ReasonCode, Settings, Window, proof};
 use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{KnownMosaic, Mosaic, NoiseModel, isolate};
-use crate::pipeline::calibrate::noise;
+use crate::pipeline::calibrate::{noise, report};
 use crate::pipeline::energy::repeatability_file;
 use crate::pipeline::levels;
 use crate::progress::Progress;
@@ -116,6 +116,7 @@ impl Engine {
         let settings = series.first.map(|first| first.settings).unwrap_or_default();
         let (taken, left_out) = (utc_now(), series.left_out);
         keep(session, &RepeatReport { taken, settings, region: window, left_out, result: result.clone() })?;
+        report::write(session, progress)?;
         Ok(result)
     }
 

@@ -1,12 +1,13 @@
 //! How steady the flash is, in the report: from lit frames, and from the controller's own series, of which no frames are
 //! kept.
 
-use super::{Line, Mark, Page, Part, STEADINESS, Told, ends, figure, figures, head, or_dash, used};
-use crate::calibration::{Record, Steadiness};
+use super::{Line, Mark, Page, Part, STEADINESS, Told, body, ends, figure, figures, head, or_dash, used};
+use crate::calibration::{Record, Rig, Steadiness};
 use crate::export::calibration_report::{Piece, Row, Table};
 use crate::export::chart::Plot;
+use crate::pair::Settings;
 use crate::pipeline::energy;
-use crate::pipeline::report::repeatability;
+use crate::pipeline::report::{fact, moment, repeatability};
 use crate::pipeline::steadiness::picture;
 use crate::session::Session;
 
@@ -60,6 +61,13 @@ pub(super) fn tell(_: &Session, record: &Record<Steadiness>) -> Told {
     }
 }
 
+/// Where and with what the controller's series was taken.
+#[derive(serde::Deserialize)]
+struct Origin {
+    taken: String,
+    settings: Settings,
+}
+
 impl Page<'_> {
     /// The series that the flash controller shot and measured itself, if there is one: beside that from frames, or in
     /// its place.
@@ -67,14 +75,15 @@ impl Page<'_> {
         let run = match energy::repeatability(self.session) {
             Ok(Some(run)) => run,
             Ok(None) => return,
-            Err(error) => {
-                self.summary.push(super::line(&STEADINESS, Mark::Bad, error.to_string()));
-                return;
-            }
+            Err(error) => return self.summary.push(super::line(&STEADINESS, Mark::Bad, error.to_string())),
         };
+        let file = std::fs::read(energy::repeatability_file(self.session)).unwrap_or_default();
+        let origin = serde_json::from_slice::<Origin>(&file).ok();
+        let measured = origin.as_ref().map_or_else(|| "date not told".into(), |o| moment(&o.taken));
+        let rig = origin.map(|origin| Rig::of(&origin.settings)).unwrap_or_default();
         let words = format!(
-            "By the controller's own series of {} shots the known light has a standard deviation of {:.3} %, and {:.3} % \
-             divided by the measured energy. No frames of it are kept.",
+            "In the controller's own series of {} shots ({measured}) the known light has a standard deviation of {:.3} %, and \
+             {:.3} % divided by the measured energy. No frames of it are kept.",
             run.shots.len(),
             100.0 * run.spread,
             100.0 * run.corrected
@@ -86,20 +95,25 @@ impl Page<'_> {
             return;
         }
         self.summary.retain(|line| !(line.name == STEADINESS.name && line.mark == Mark::Missing));
-        self.summary.push(Line {
-            part: Some(STEADINESS.id),
-            valid_for: "the flash as it was set".into(),
-            ..super::line(&STEADINESS, Mark::Good, words.clone())
-        });
+        let valid_for = format!("{}, the flash as it was set", body(&rig));
         self.parts.push(Part {
             id: STEADINESS.id,
             letter: STEADINESS.letter,
             heading: STEADINESS.name,
             mark: Mark::Good,
-            sentences: vec![words],
-            facts: vec![],
+            sentences: vec![words.clone()],
+            facts: vec![fact("True of", valid_for.clone()), fact("Measured", format!("{measured} UTC"))],
             pieces: pieces.collect(),
             shots: vec![],
         });
+        self.summary.push(Line {
+            part: Some(STEADINESS.id),
+            valid_for,
+            measured,
+            ..super::line(&STEADINESS, Mark::Good, words)
+        });
+        if !self.rigs.contains(&rig) {
+            self.rigs.push(rig);
+        }
     }
 }
