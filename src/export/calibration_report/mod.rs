@@ -261,7 +261,7 @@ fn figures_table(out: &mut String, table: &Table, letter: char) {
         } else if cells.all(|cell| cell.chars().count() <= SHORT) {
             " class=\"short\""
         } else {
-            ""
+            " class=\"words\""
         }
     };
     let classes: Vec<&str> = (0..table.head.len()).map(class).collect();
@@ -332,11 +332,12 @@ fn shots(out: &mut String, part: &Part) {
         };
         let short = shot.blake3.get(..12).unwrap_or(&shot.blake3);
         let class = if shot.used { "used" } else { "out" };
+        let file = if shot.file.chars().count() <= 2 * SHORT { "short" } else { "file" };
         put(
             out,
             format_args!(
-                "<tr id=\"{label}\" class=\"{class}\"><td><b>{label}</b></td><td>{picture}</td><td class=\"file\">{}</td>\
-                 <td><code title=\"{}\">{}</code></td><td class=\"short\">{}</td><td>{}</td></tr>\n",
+                "<tr id=\"{label}\" class=\"{class}\"><td><b>{label}</b></td><td>{picture}</td><td class=\"{file}\">{}</td>\
+                 <td><code title=\"{}\">{}</code></td><td class=\"short\">{}</td><td class=\"words\">{}</td></tr>\n",
                 escape(&shot.file),
                 escape(&shot.blake3),
                 escape(short),
