@@ -6,7 +6,7 @@ use crate::codec::raw::RawError;
 use crate::pair::energy::RepeatError;
 use crate::pair::finding::FindingError;
 use crate::photometry::{IsolateError, NoNoise};
-use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::calibrate::{RecordError, SeriesError};
 use crate::pipeline::scale::RatioError;
 use crate::pipeline::stops::EarlierError;
 use crate::progress::Cancelled;
@@ -96,6 +96,9 @@ pub enum CaptureError {
     /// The session's exposure table is another body's.
     #[error(transparent)]
     Ratio(#[from] RatioError),
+    /// The series is kept, but not the report that tells of it.
+    #[error("the series is kept, but the calibration report could not be written: {0}")]
+    Report(SeriesError),
     /// The system gave no thread.
     #[error("the frame could not be checked: no thread to be had ({0}); close other programs")]
     NoThread(std::io::Error),
@@ -133,6 +136,7 @@ impl CaptureError {
             CaptureError::Series(_) => "series_says_nothing",
             CaptureError::Levels(_) => "levels_unreadable",
             CaptureError::Ratio(_) => "exposure_table_of_another_body",
+            CaptureError::Report(_) => "report_not_written",
             CaptureError::NoThread(_) => "no_thread",
             CaptureError::Place(PlaceError::Session(SessionError::NoRoom { .. })) => "disk_full",
             CaptureError::Place(PlaceError::Session(SessionError::NoSuchPair { .. })) => "pair_not_found",
@@ -147,6 +151,16 @@ impl CaptureError {
 impl From<SessionError> for CaptureError {
     fn from(error: SessionError) -> Self {
         CaptureError::Place(error.into())
+    }
+}
+
+impl From<SeriesError> for CaptureError {
+    fn from(error: SeriesError) -> Self {
+        match error {
+            SeriesError::Session(error) => error.into(),
+            SeriesError::Cancelled(cancelled) => cancelled.into(),
+            other => Self::Report(other),
+        }
     }
 }
 

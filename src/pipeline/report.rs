@@ -18,6 +18,7 @@ use crate::photometry::FlashGain;
 use crate::reflectance::robust::Lobe;
 use crate::reflectance::unwrap::UvSource;
 use crate::session::Manifest;
+pub(in crate::pipeline) use flash::repeatability;
 pub(super) use previews::Estimates;
 use previews::previews;
 
@@ -251,16 +252,16 @@ fn files() -> Vec<Block> {
     ]
 }
 
-fn fact(name: &str, value: String) -> (String, String) {
+pub(in crate::pipeline) fn fact(name: &str, value: String) -> (String, String) {
     (name.to_owned(), value)
 }
 
 /// Date and minute of an ISO 8601 moment.
-fn moment(iso: &str) -> String {
+pub(in crate::pipeline) fn moment(iso: &str) -> String {
     iso.get(..16).unwrap_or(iso).replace('T', " ")
 }
 
-fn or_untold(text: String) -> String {
+pub(in crate::pipeline) fn or_untold(text: String) -> String {
     if text.is_empty() { "the files do not tell".into() } else { text }
 }
 

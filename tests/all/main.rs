@@ -14,6 +14,7 @@ mod calibrate_flat;
 mod calibrate_json;
 mod calibrate_levels;
 mod calibrate_noise;
+mod calibrate_report;
 mod calibrate_take;
 mod camera;
 mod camera_faults;

@@ -6,6 +6,7 @@ mod flash;
 mod flat;
 mod levels;
 mod noise;
+mod report;
 mod take;
 
 use crate::calibration::{Record, Shot, Verdict};
@@ -51,6 +52,10 @@ pub(super) enum Calibrate {
     Colour(colour::ColourArgs),
     /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller; or from lit frames alone.
     Repeatability(RepeatabilityArgs),
+    /// Writes calibration/report.html anew: all calibrations of a session on one page, for the screen and for paper.
+    ///
+    /// Every calibration writes it anyway; this is for a certificate made since, or a report that was deleted.
+    Report(report::ReportArgs),
     /// Takes calibrations over from another session of the same rig, with the shots that they come from.
     Take(take::TakeArgs),
 }
@@ -86,6 +91,7 @@ pub(super) fn run(what: &Calibrate) -> CliResult {
         Calibrate::Colour(args) => colour::run(args),
         Calibrate::Flash(args) => flash::flash(args),
         Calibrate::Repeatability(args) => repeatability(args),
+        Calibrate::Report(args) => report::run(args),
         Calibrate::Take(args) => take::run(args),
     }
 }

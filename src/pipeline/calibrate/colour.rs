@@ -219,7 +219,7 @@ fn picture(frame: &ChartFrame, fit: &ColourFit) -> Result<Vec<u8>, PngError> {
     encode_rgb8(&overlay(&preview, fit.white_dn, &outlines))
 }
 
-fn figure(fit: &ColourFit) -> Chart {
+pub(super) fn figure(fit: &ColourFit) -> Chart {
     let numbered = || fit.patches.iter().enumerate().map(|(k, patch)| ((k + 1) as f64, patch));
     Chart {
         caption: "Colour difference of each patch of the chart".into(),

@@ -1,13 +1,15 @@
 //! Calibrations from raw files: the shots are read one by one, the fit is kept with all that it comes from.
 //!
 //! A calibration of the kind `levels` is `calibration/levels.json` (a [`Record`]), `calibration/levels.svg` (its
-//! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already).
+//! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already). Whenever one is kept,
+//! `calibration/report.html` is written anew ([`report`]).
 
 pub mod colour;
 pub mod exposure;
 pub mod flat;
 pub mod levels;
 pub mod noise;
+pub mod report;
 pub mod take;
 
 use super::levels as sensor_levels;
@@ -117,6 +119,8 @@ pub(super) struct Series<'a> {
     paths: Vec<PathBuf>,
     /// What people must be told beside the fit's verdict.
     remarks: Vec<String>,
+    /// A small picture of each, for the report; absent where there is nothing to see.
+    pictures: Vec<Option<Vec<u8>>>,
 }
 
 impl<'a> Series<'a> {
@@ -129,7 +133,16 @@ impl<'a> Series<'a> {
             sensor_levels::load(session)?
         };
         let rig = Rig { lighting: session.manifest().lighting, ..Rig::default() };
-        Ok(Self { session, kind, measured, rig, shots: vec![], paths: vec![], remarks: vec![] })
+        Ok(Self {
+            session,
+            kind,
+            measured,
+            rig,
+            shots: vec![],
+            paths: vec![],
+            remarks: vec![],
+            pictures: vec![],
+        })
     }
 
     /// Says how the shots were lit and seen, where that is not what the session says.
@@ -170,6 +183,7 @@ impl<'a> Series<'a> {
         let file = self.place(path, &blake3);
         self.shots.push(Shot { file, blake3, shutter, aperture, iso, left_out: None });
         self.paths.push(path.to_owned());
+        self.pictures.push(report::shots::picture(&photo.mosaic).ok());
         Ok(photo)
     }
 
@@ -201,7 +215,8 @@ impl<'a> Series<'a> {
         self.shots[shot].left_out = Some(why);
     }
 
-    /// Copies the shots into the session, and keeps the fit and its figure; on the disk when this returns.
+    /// Copies the shots into the session, keeps the fit and its figure, and writes the report; on the disk when this
+    /// returns.
     pub(super) fn keep<T: Serialize>(
         self,
         fit: T,
@@ -209,7 +224,7 @@ impl<'a> Series<'a> {
         figure: &Chart,
         progress: &Progress,
     ) -> Result<Record<T>, SeriesError> {
-        let Self { session, kind, rig, shots, paths, remarks, .. } = self;
+        let Self { session, kind, rig, shots, paths, remarks, pictures, .. } = self;
         verdict.sentences.extend(remarks);
         let count = paths.len();
         for (done, (shot, path)) in shots.iter().zip(&paths).enumerate() {
@@ -232,6 +247,12 @@ impl<'a> Series<'a> {
         session.keep(&folder.join(format!("{kind}.svg")), chart::picture(figure).as_bytes())?;
         store(session, kind, &record)?;
         progress.report("copying the shots", count, count);
+        for (shot, picture) in record.shots.iter().zip(pictures) {
+            if let Some(picture) = picture {
+                report::shots::keep(session, &shot.blake3, &picture)?;
+            }
+        }
+        report::write(session, progress)?;
         Ok(record)
     }
 }

@@ -81,7 +81,7 @@ pub struct Taken {
 
 /// Copies these calibrations of the session `from`, which is only read, all that it has if none is named, into `session`: record, figures and shots,
 /// each shot compared with its BLAKE3. Date, rig and figures stay those of the measurement. What the session had
-/// before is kept beside, as after a new measurement. Nothing is copied if one of them cannot be.
+/// before is kept beside, as after a new measurement, and the report is written anew. Nothing is copied if one of them cannot be.
 pub fn take(
     session: &Session,
     from: &Path,
@@ -133,6 +133,7 @@ pub fn take(
         taken.push(Taken { kind, measured: record.measured, shots: record.shots.len() });
     }
     progress.report("copying the shots", count, count);
+    super::report::write(session, progress)?;
     Ok(taken)
 }
 
