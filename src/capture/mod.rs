@@ -12,6 +12,7 @@ mod engine;
 mod error;
 mod events;
 mod find;
+mod frame;
 mod hands;
 mod live;
 mod machine;
@@ -26,7 +27,9 @@ mod wish;
 
 pub use bench::{DeviceState, Devices, FlashKind, ListCameras, OpenCamera, OpenFlash, RigSource};
 pub use card::{CalibrationShot, calibration_frames, calibration_shots};
-pub use desk::{Desk, DeskError, FlashCard, Glance, SceneFiles, SessionSummary, Works};
+pub use desk::{
+    CalibrationState, Desk, DeskError, FlashCard, FlashOrder, Glance, IncomingFrames, SceneFiles, SeriesShot, SessionSummary, Works,
+};
 pub use engine::{AfterPair, CameraState, Engine, words_on};
 pub use error::CaptureError;
 pub use events::{Event, Events, Heard, Topic};
