@@ -1,9 +1,10 @@
 //! Calibrations on the wire.
 
+use super::camera_bodies::ExposureBody;
 use super::links;
 use crate::calibration::colour::ChartKind;
 use crate::calibration::guide::{Guide, Kind, Role, Take};
-use crate::capture::{CalibrationState, FlashOrder, SeriesShot};
+use crate::capture::{CalibrationState, FlashOrder, SeriesShot, ShotWish};
 use crate::pipeline::calibrate::guided::{FitOrder, Measured};
 use crate::pipeline::calibrate::waiting::Origin;
 use serde::{Deserialize, Serialize};
@@ -175,12 +176,8 @@ impl CalibrationBody {
     pub(super) fn new(session: &str, state: CalibrationState) -> Self {
         let CalibrationState { kind, shots, measured, unreadable } = state;
         let Guide { title, gives, steps, takes, command, .. } = *kind.guide();
-        let take = |take: &Take| TakeBody {
-            role: take.role,
-            name: take.name,
-            words: take.words,
-            count: take.count,
-        };
+        let take =
+            |take: &Take| TakeBody { role: take.role, name: take.name, words: take.words, count: take.count };
         let takes = takes.iter().map(take).collect();
         Self {
             kind,
@@ -195,11 +192,8 @@ impl CalibrationBody {
 impl CalibrationShotBody {
     pub(super) fn new(session: &str, shot: SeriesShot) -> Self {
         let SeriesShot { shutter, aperture, iso, .. } = shot;
-        let told = [
-            shutter.map(|v| v.to_string()),
-            aperture.map(|v| v.to_string()),
-            iso.map(|v| v.to_string()),
-        ];
+        let told =
+            [shutter.map(|v| v.to_string()), aperture.map(|v| v.to_string()), iso.map(|v| v.to_string())];
         Self {
             url: links::file(session, &shot.file),
             off_url: shot.off.map(|off| links::file(session, &off)),
@@ -255,11 +249,23 @@ pub(super) struct CalibrationShotOrder {
     /// As what; may be left out where there is one role only.
     #[schema(value_type = Option<String>, example = "dark")]
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) role: Option<Role>,
+    role: Option<Role>,
     /// Distance from the lens to the card along the axis, metres; of card shots.
     #[schema(example = 1.0)]
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) distance_m: Option<f64>,
+    distance_m: Option<f64>,
+    /// Where the dials are to stand for this frame; as they stand without it. Afterwards they stand as before. Not of card
+    /// shots.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    exposure: Option<ExposureBody>,
+}
+
+impl CalibrationShotOrder {
+    /// The wish for a shot of this kind.
+    pub(super) fn of(self, kind: Kind) -> ShotWish {
+        let Self { role, distance_m, exposure } = self;
+        ShotWish { kind, role, distance_m, exposure: exposure.map(Into::into) }
+    }
 }
 
 /// Raw files of the camera.

@@ -159,9 +159,7 @@ fn invalid(words: impl std::fmt::Display) -> Problem {
 /// The disk does not take it.
 fn refused(error: Error) -> Problem {
     if is_full(&error) {
-        let words = format!(
-            "the upload cannot be kept: {error}; make room on the disk of the sessions"
-        );
+        let words = format!("the upload cannot be kept: {error}; make room on the disk of the sessions");
         return Problem::new(StatusCode::CONFLICT, "disk_full", words);
     }
     Problem::internal(error)

@@ -1,10 +1,13 @@
 //! Calibrations, guided: what is to be shot, what waits, the fit, and how each stands.
 
+use super::camera::offered_exposure;
 use super::works::Ask;
 use super::{Desk, DeskError};
 use crate::calibration::guide::{Kind, Role};
 use crate::capture::card::{self, CalibrationShot, calibration_shots};
+use crate::capture::error::CaptureError;
 use crate::capture::events::Topic;
+use crate::capture::frame::ShotWish;
 use crate::capture::place::{PlaceError, name_of};
 use crate::jobs::{Job, Lane};
 use crate::pair::Settings;
@@ -143,29 +146,37 @@ impl Desk {
     pub fn calibration(&self, session: &str, kind: Kind) -> Result<Value, DeskError> {
         let session = self.reader(session)?;
         let record = guided::record(&session, kind)?;
-        record.map(|record| json!(record)).ok_or_else(|| DeskError::NotMeasured {
-            session: name_of(&session),
-            kind,
-        })
+        record
+            .map(|record| json!(record))
+            .ok_or_else(|| DeskError::NotMeasured { session: name_of(&session), kind })
     }
 
-    /// Shoots one frame for a calibration, as the camera stands.
-    pub fn take_calibration_frame(
-        &self,
-        session: &str,
-        kind: Kind,
-        role: Option<Role>,
-        distance_m: Option<f64>,
-    ) -> Result<Job, DeskError> {
+    /// Shoots for a calibration: the card with and without flash, or one frame of anything else.
+    pub fn take_calibration_shot(&self, session: &str, wish: ShotWish) -> Result<Job, DeskError> {
+        let ShotWish { kind, role, distance_m, exposure } = wish;
         let role = kind.role(role).map_err(DeskError::BadValue)?;
-        if kind == Kind::Flash || distance_m.is_some() {
-            return Err(misplaced(kind));
+        match (kind, distance_m) {
+            (Kind::Flash, Some(_)) if exposure.is_some() => {
+                return Err(DeskError::BadValue(
+                    "card shots are taken as the camera stands; turn its dials and leave exposure out".into(),
+                ));
+            }
+            (Kind::Flash, Some(distance)) => return self.take_card_shot(session, distance),
+            (Kind::Flash, None) | (_, Some(_)) => return Err(misplaced(kind)),
+            _ => {}
         }
         let session = self.session(session)?;
+        let exposure = match exposure {
+            Some(wanted) => Some(offered_exposure(
+                wanted,
+                &self.0.engine.camera_state().map_err(CaptureError::from)?.offered,
+            )?),
+            None => None,
+        };
         let desk = self.clone();
-        let ask = Ask::new("calibration_shot", Lane::Rig).again(json!([kind, role]));
+        let ask = Ask::new("calibration_shot", Lane::Rig).again(json!(wish));
         self.ask(ask, name_of(&session), move |progress| {
-            let shot = desk.0.engine.shoot_frame(&session, kind, role, progress)?;
+            let shot = desk.0.engine.shoot_frame(&session, (kind, role), exposure, progress)?;
             Ok(json!({
                 "session": name_of(&session),
                 "kind": kind,
@@ -311,7 +322,6 @@ pub(super) fn checked_distance(distance_m: f64) -> Result<(), DeskError> {
 
 fn read(path: &PathBuf) -> Result<(String, Vec<u8>), DeskError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let bytes =
-        std::fs::read(path).map_err(|source| PlaceError::Disk { path: path.clone(), source })?;
+    let bytes = std::fs::read(path).map_err(|source| PlaceError::Disk { path: path.clone(), source })?;
     Ok((name, bytes))
 }

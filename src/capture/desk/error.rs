@@ -67,7 +67,9 @@ pub enum DeskError {
         kind: Kind,
     },
     /// A shot that a record comes from.
-    #[error("the calibration comes from shot {0}, which is kept; calibrate again without it (held_out) if it is wrong")]
+    #[error(
+        "the calibration comes from shot {0}, which is kept; calibrate again without it (held_out) if it is wrong"
+    )]
     ShotInRecord(String),
     /// Shots that wait for their calibration.
     #[error(transparent)]

@@ -25,10 +25,7 @@ impl Desk {
             "find_exposure" => again.find_exposure(session, read(order).ok_or_else(lost)?),
             "flash_shots" => again.take_card_shot(session, read(order).ok_or_else(lost)?),
             "repeatability" => again.take_repeatability(session, read(order).ok_or_else(lost)?),
-            "calibration_shot" => {
-                let (kind, role) = read(order).ok_or_else(lost)?;
-                again.take_calibration_frame(session, kind, Some(role), None)
-            }
+            "calibration_shot" => again.take_calibration_shot(session, read(order).ok_or_else(lost)?),
             "calibrate_flash" => again.calibrate_flash(session, read(order).ok_or_else(lost)?),
             "calibrate_levels" | "calibrate_noise" | "calibrate_exposure" | "calibrate_flat"
             | "calibrate_colour" => again.calibrate(session, read(order).ok_or_else(lost)?),

@@ -155,7 +155,9 @@ impl Desk {
             )));
         }
         if let Some(focal) = order.focal_px.filter(|focal| !(focal.is_finite() && *focal > 0.0)) {
-            return Err(DeskError::BadValue(format!("focal_px is {focal}, but a focal length is greater than 0")));
+            return Err(DeskError::BadValue(format!(
+                "focal_px is {focal}, but a focal length is greater than 0"
+            )));
         }
         let [inner, outer] = order.ring_radii;
         if !(inner >= 0.0 && outer > inner && outer < 1.0) {
@@ -168,7 +170,8 @@ impl Desk {
             calibration_shots(&session)?.into_iter().filter(|s| s.reasons.is_empty()).collect();
         let sent = waiting::list(&session, Kind::Flash)?;
         let known = |id: &String| {
-            shots.iter().any(|shot| shot.name == *id) || sent.iter().any(|shot| shot.number.to_string() == *id)
+            shots.iter().any(|shot| shot.name == *id)
+                || sent.iter().any(|shot| shot.number.to_string() == *id)
         };
         if let Some(stranger) = order.held_out.iter().find(|id| !known(id)) {
             return Err(DeskError::BadValue(format!(

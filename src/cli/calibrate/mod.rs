@@ -135,4 +135,3 @@ fn print_verdict(verdict: &Verdict, shots: &[Shot]) {
     }
     println!();
 }
-

@@ -75,13 +75,9 @@ pub(super) async fn shoot(
     let form = match shot {
         Either::Wishes(order) => {
             let wish = key.with(&order)?;
-            let CalibrationShotOrder { role, distance_m } = order;
-            return Ok(ordered(&app, wish, move |desk| match (kind, distance_m) {
-                (Kind::Flash, Some(distance)) => desk.take_card_shot(&session, distance),
-                _ => desk.take_calibration_frame(&session, kind, role, distance_m),
-            })
-            .await?
-            .into_response());
+            let order = order.of(kind);
+            let asked = ordered(&app, wish, move |desk| desk.take_calibration_shot(&session, order));
+            return Ok(asked.await?.into_response());
         }
         Either::Form(form) => form,
     };
@@ -89,7 +85,8 @@ pub(super) async fn shoot(
     let (desk, name) = (app.desk.clone(), session.clone());
     blocking(move || desk.session(&name).map(drop)).await?;
     let Ok(_place) = app.uploads.try_acquire() else {
-        let words = format!("{} uploads are coming in already; send this one when they are here", staging::AT_ONCE);
+        let words =
+            format!("{} uploads are coming in already; send this one when they are here", staging::AT_ONCE);
         return Err(Problem::new(StatusCode::TOO_MANY_REQUESTS, "uploads_busy", words));
     };
     let frames = staging::stage_frames(form, &app.desk.own_folder()).await?;

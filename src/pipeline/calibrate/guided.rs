@@ -90,9 +90,7 @@ pub fn fit(session: &Session, order: &FitOrder, progress: &Progress) -> Result<V
     let shots = waiting::list(session, kind)?;
     let of = |role| waiting::frames(session, kind, &shots, role);
     let (record, good) = match order {
-        FitOrder::Levels => {
-            told(levels::calibrate(session, &of(Role::Dark)?, &of(Role::Blown)?, progress)?)?
-        }
+        FitOrder::Levels => told(levels::calibrate(session, &of(Role::Dark)?, &of(Role::Blown)?, progress)?)?,
         FitOrder::Noise { stops } => {
             let (lit, dark) = (of(Role::Even)?, of(Role::Dark)?);
             let frames = NoiseFrames { lit: &lit, dark: &dark, stops: *stops };
@@ -107,8 +105,7 @@ pub fn fit(session: &Session, order: &FitOrder, progress: &Progress) -> Result<V
                     "colour takes one frame of the chart lit by the flash, and one without flash at most; remove the others",
                 ));
             }
-            let shot =
-                ChartShot { on: on.remove(0), off: off.pop(), chart: *chart, corners: *corners_px };
+            let shot = ChartShot { on: on.remove(0), off: off.pop(), chart: *chart, corners: *corners_px };
             told(colour::calibrate(session, &shot, progress)?)?
         }
     };
@@ -174,7 +171,8 @@ impl Validity {
             (_, Some(model)) => model.clone(),
             _ => "the body that took the shots".into(),
         };
-        let mut parts = vec![serial.as_ref().map_or(body.clone(), |serial| format!("{body}, number {serial}"))];
+        let mut parts =
+            vec![serial.as_ref().map_or(body.clone(), |serial| format!("{body}, number {serial}"))];
         parts.extend(lens.clone());
         let joined = |values: Vec<String>| values.join(", ");
         if !self.apertures.is_empty() {

@@ -178,7 +178,7 @@ pub fn add(session: &Session, kind: Kind, shot: Incoming<'_>) -> Result<WaitingS
         sensor_levels::decode(bytes, name, &measured)?;
     }
     let file = |role: &str, (name, bytes): (&str, &[u8])| WaitingFile {
-        file: session::original_file_name(role, name),
+        file: file_name(role, name),
         original_name: name.to_owned(),
         bytes: bytes.len() as u64,
         blake3: store::digest(bytes),
@@ -197,7 +197,11 @@ pub fn add(session: &Session, kind: Kind, shot: Incoming<'_>) -> Result<WaitingS
         role: shot.role,
         distance_m: shot.distance_m,
         frame,
-        off: shot.off.map(|off| file("off", off)),
+        off: shot.off.map(|(name, bytes)| WaitingFile {
+            // It may be called like the lit one.
+            file: format!("off_{}", file_name("frame", name)),
+            ..file("off", (name, bytes))
+        }),
         origin: shot.origin,
         stored: utc_now(),
         shutter,
@@ -209,8 +213,10 @@ pub fn add(session: &Session, kind: Kind, shot: Incoming<'_>) -> Result<WaitingS
     let folder = folder(session, kind);
     std::fs::create_dir_all(&folder).map_err(io(&folder))?;
     loop {
-        let aside =
-            tempfile::Builder::new().prefix(store::TEMPORARY_PREFIX).tempdir_in(&folder).map_err(io(&folder))?;
+        let aside = tempfile::Builder::new()
+            .prefix(store::TEMPORARY_PREFIX)
+            .tempdir_in(&folder)
+            .map_err(io(&folder))?;
         let mut files = vec![(kept.frame.file.as_str(), shot.frame.1)];
         files.extend(kept.off.iter().map(|off| off.file.as_str()).zip(shot.off.map(|off| off.1)));
         let record = serde_json::to_vec_pretty(&kept).map_err(damaged(&aside.path().join(RECORD)))?;
@@ -286,9 +292,7 @@ pub fn card_frames(
     session: &Session,
     shot: &WaitingShot,
 ) -> Result<(PathBuf, Option<PathBuf>), WaitingError> {
-    let check = |file: &WaitingFile| {
-        checked(session, shot.place(Kind::Flash, file), file, shot.number)
-    };
+    let check = |file: &WaitingFile| checked(session, shot.place(Kind::Flash, file), file, shot.number);
     Ok((check(&shot.frame)?, shot.off.as_ref().map(check).transpose()?))
 }
 
@@ -310,14 +314,27 @@ pub(super) fn is_waiting(inside: &Path) -> bool {
     inside.starts_with(FOLDER)
 }
 
+/// The name that a file had, if that is plain; else one for its role.
+fn file_name(role: &str, name: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    if !name.is_empty()
+        && name.len() <= 80
+        && !name.starts_with('.')
+        && name != RECORD
+        && name.chars().all(plain)
+    {
+        return name.to_owned();
+    }
+    session::original_file_name(role, name)
+}
+
 /// Mean of the brightest colour, 0 at black and 1 at saturation.
 fn mean_share(mosaic: &Mosaic) -> f64 {
     let (mut sums, mut counts) = ([0.0f64; 3], [0u32; 3]);
     let width = mosaic.dn.width().max(1);
     for (y, row) in mosaic.dn.pixels().chunks_exact(width).enumerate().step_by(STRIDE) {
         for (x, &dn) in row.iter().enumerate().step_by(STRIDE) {
-            let (black, white) =
-                (mosaic.levels.black[y & 1][x & 1], mosaic.levels.saturation[y & 1][x & 1]);
+            let (black, white) = (mosaic.levels.black[y & 1][x & 1], mosaic.levels.saturation[y & 1][x & 1]);
             if white > black {
                 let colour = usize::from(mosaic.cfa.0[y & 1][x & 1]).min(2);
                 sums[colour] += f64::from((f32::from(dn) - black) / (white - black));
