@@ -1,3 +1,4 @@
+import { Calibration } from "./Calibration";
 import { Devices } from "./Devices";
 import { Exposure } from "./Exposure";
 import { Flash } from "./Flash";
@@ -62,6 +63,7 @@ export function App() {
           <Jobs live={live} />
         </aside>
         <Pairs live={live} />
+        <Calibration live={live} />
       </main>
     </>
   );
