@@ -161,6 +161,7 @@ fn of_waiting(error: &WaitingError) -> (StatusCode, &'static str) {
         WaitingError::None { .. } => (StatusCode::NOT_FOUND, "shot_not_found"),
         WaitingError::Twice { .. } => (StatusCode::CONFLICT, "shot_twice"),
         WaitingError::Raw(_) => (StatusCode::UNPROCESSABLE_ENTITY, "frame_unreadable"),
+        WaitingError::Session(error) => of_session(error),
         WaitingError::Io { source, .. } if is_full(source) => (StatusCode::CONFLICT, "disk_full"),
         WaitingError::Io { .. } => (StatusCode::INTERNAL_SERVER_ERROR, "disk_failed"),
         _ => (StatusCode::INTERNAL_SERVER_ERROR, "session_unreadable"),

@@ -12,9 +12,10 @@ use crate::pair::Settings;
 use crate::photometry::Mosaic;
 use crate::photometry::levels::MeasuredLevels;
 use crate::pipeline::levels as sensor_levels;
-use crate::session::{self, Session, store, utc_now};
+use crate::session::{self, Event, Session, SessionError, store, utc_now};
 use crate::units::{FNumber, Iso, Seconds};
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -77,6 +78,9 @@ pub enum WaitingError {
     /// The session's measured levels.
     #[error(transparent)]
     Record(#[from] RecordError),
+    /// The session's journal.
+    #[error(transparent)]
+    Session(#[from] SessionError),
 }
 
 /// Where a shot comes from.
@@ -232,6 +236,7 @@ pub fn add(session: &Session, kind: Kind, shot: Incoming<'_>) -> Result<WaitingS
                 let _old_name = aside.keep();
                 readable(&own)?;
                 store::sync_folder(&folder).map_err(io(&folder))?;
+                note(session, "calibration_frame_stored", kind, kept.number, &kept.frame.blake3)?;
                 return Ok(kept);
             }
             // Somebody was faster.
@@ -266,9 +271,11 @@ pub fn list(session: &Session, kind: Kind) -> Result<Vec<WaitingShot>, WaitingEr
 pub fn remove(session: &Session, kind: Kind, number: u32) -> Result<(), WaitingError> {
     let folder = folder(session, kind);
     let own = folder.join(format!("{number:04}"));
-    if !own.join(RECORD).is_file() {
+    let shot = list(session, kind)?.into_iter().find(|shot| shot.number == number);
+    let Some(shot) = shot else {
         return Err(WaitingError::None { kind: kind.name(), shot: number.to_string() });
-    }
+    };
+    note(session, "calibration_frame_removed", kind, number, &shot.frame.blake3)?;
     let aside =
         tempfile::Builder::new().prefix(store::TEMPORARY_PREFIX).tempdir_in(&folder).map_err(io(&folder))?;
     std::fs::rename(&own, aside.path().join("shot")).map_err(io(&own))?;
@@ -354,6 +361,12 @@ fn readable(folder: &Path) -> Result<(), WaitingError> {
         std::fs::set_permissions(folder, std::fs::Permissions::from_mode(0o755)).map_err(io(folder))?;
     }
     Ok(())
+}
+
+/// Tells the journal.
+fn note(session: &Session, what: &str, kind: Kind, number: u32, blake3: &str) -> Result<(), WaitingError> {
+    let detail = json!({ "kind": kind, "shot": number, "blake3": blake3 });
+    Ok(session.record(Event::Note { what: what.to_owned(), detail })?)
 }
 
 fn folder(session: &Session, kind: Kind) -> PathBuf {
