@@ -233,7 +233,7 @@ fn frames_are_shot_without_flash_and_the_chart_with_it() {
         let (_, job) = house.post(&format!("{AT}/exposure/shots"), &json!({}));
         assert_eq!(house.ended(&job)["state"], "done");
     }
-    let house = House::open(Room::with(Trouble::Misfire).rig());
+    let house = House::open(Room::with(Trouble::NoContact).rig());
     house.post("/api/v1/sessions", &json!({ "name": "bath" }));
     let (_, job) = house.post(&format!("{AT}/colour/shots"), &json!({ "role": "chart" }));
     assert_eq!(house.ended(&job)["problem"]["code"], "flash_misfired");
