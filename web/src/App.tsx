@@ -62,8 +62,8 @@ export function App() {
           <Exposure live={live} />
           <Jobs live={live} />
         </aside>
-        <Pairs live={live} />
         <Calibration live={live} />
+        <Pairs live={live} />
       </main>
     </>
   );

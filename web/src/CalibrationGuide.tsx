@@ -14,7 +14,7 @@ interface Props {
 /** One calibration from set-up to verdict. */
 export function Guide({ live, session, state }: Props) {
   const { kind, guide } = state;
-  const [distance, setDistance] = useState("1.0");
+  const [distance, setDistance] = useState("");
   const about = [`calibrate_${kind}`, "calibration_shot", "flash_shots"];
   const running = live.jobs.filter(
     (job) => job.session === session && about.includes(job.kind) && (job.state === "running" || job.state === "queued"),
@@ -90,8 +90,8 @@ function TakeOne(props: { live: Live; session: string; kind: Kind; take: Take; d
         >
           {kind === "flash" ? words.shootCard : words.shoot}
         </button>
-        <label class="send">
-          <span class="dim">{sending ? words.sending : words.send}</span>
+        <label>
+          <span class="dim">{sending ? words.sending : kind === "flash" ? words.sendCards : words.send}</span>
           <input
             type="file"
             multiple
@@ -155,8 +155,8 @@ function Fit({ live, session, state, busy }: Props & { busy: boolean }) {
   const [stops, setStops] = useState("");
   const [chart, setChart] = useState("");
   const [reflectance, setReflectance] = useState("");
-  const [inner, setInner] = useState("35");
-  const [outer, setOuter] = useState("85");
+  const [inner, setInner] = useState("");
+  const [outer, setOuter] = useState("");
   const [focal, setFocal] = useState("");
   const given = (text: string) => (text.trim() === "" ? null : Number(text));
   const order = () => {

@@ -22,6 +22,7 @@ export const calibrationWords = {
   shoot: "Take one",
   shootCard: "Take card shot",
   send: "Or send raw files",
+  sendCards: "Or send frames lit in a dark room, all at this distance",
   sending: "Sending…",
   distance: "Distance from lens to card, metres",
   shots: "Shots for the next measurement",
