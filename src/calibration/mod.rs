@@ -5,6 +5,7 @@ pub mod colour;
 pub mod exposure;
 mod flash;
 pub mod flat;
+pub mod guide;
 pub mod levels;
 mod linear;
 pub mod noise;

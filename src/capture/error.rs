@@ -6,6 +6,7 @@ use crate::codec::raw::RawError;
 use crate::pair::energy::RepeatError;
 use crate::pair::finding::FindingError;
 use crate::photometry::{IsolateError, NoNoise};
+use crate::pipeline::calibrate::waiting::WaitingError;
 use crate::pipeline::calibrate::{RecordError, SeriesError};
 use crate::pipeline::scale::RatioError;
 use crate::pipeline::stops::EarlierError;
@@ -58,6 +59,12 @@ pub enum CaptureError {
         /// Whether it should have fired.
         expected: bool,
     },
+    /// The flash did not light a calibration frame once.
+    #[error("the flash did not fire once for this frame; check its cable, charge and switch")]
+    FrameMisfired,
+    /// A calibration frame could not be kept.
+    #[error("the calibration frame could not be kept: {0}")]
+    Waiting(WaitingError),
     /// A series that is divided by measured energies, with a flash that nobody measures.
     #[error(
         "how steady the flash is can only be measured with a flash controller, whose photodiode measures every pulse; connect one and leave `--flash manual` out"
@@ -127,7 +134,9 @@ impl CaptureError {
             CaptureError::ExposureUntold => "exposure_untold",
             CaptureError::Finding(_) => "exposure_not_found",
             CaptureError::TestShot(_) => "frame_unreadable",
-            CaptureError::TestShotMisfired { .. } => "flash_misfired",
+            CaptureError::TestShotMisfired { .. } | CaptureError::FrameMisfired => "flash_misfired",
+            CaptureError::Waiting(WaitingError::Raw(_)) => "frame_unreadable",
+            CaptureError::Waiting(_) => "session_not_written",
             CaptureError::NeedsController => "flash_controller_needed",
             CaptureError::SeriesBroken { .. } => "series_broken",
             CaptureError::SeriesClipped { .. } => "series_clipped",

@@ -12,6 +12,7 @@ mod calibrate_exposure;
 mod calibrate_flash;
 mod calibrate_flat;
 mod calibrate_json;
+mod calibrate_http;
 mod calibrate_levels;
 mod calibrate_noise;
 mod calibrate_report;

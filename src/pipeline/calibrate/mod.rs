@@ -1,16 +1,19 @@
 //! Calibrations from raw files: the shots are read one by one, the fit is kept with all that it comes from.
 //!
 //! A calibration of the kind `levels` is `calibration/levels.json` (a [`Record`]), `calibration/levels.svg` (its
-//! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already). Whenever one is kept,
+//! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already). Shots that are taken
+//! or sent in one by one wait in `calibration/waiting/` ([`waiting`]) until [`guided`] fits them. Whenever a record is kept,
 //! `calibration/report.html` is written anew ([`report`]).
 
 pub mod colour;
 pub mod exposure;
 pub mod flat;
+pub mod guided;
 pub mod levels;
 pub mod noise;
 pub mod report;
 pub mod take;
+pub mod waiting;
 
 use super::levels as sensor_levels;
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
@@ -187,11 +190,12 @@ impl<'a> Series<'a> {
         Ok(photo)
     }
 
-    /// Where a shot lies in the session: where it is, or where its copy will be.
+    /// Where a shot lies in the session: where it is, unless it waits there, or where its copy will be.
     fn place(&self, path: &Path, blake3: &str) -> String {
         let (root, own) = (self.session.path().canonicalize(), path.canonicalize());
         if let (Ok(root), Ok(own)) = (root, own)
             && let Ok(inside) = own.strip_prefix(root)
+            && !waiting::is_waiting(inside)
         {
             return inside.to_string_lossy().into_owned();
         }
