@@ -146,8 +146,7 @@ pub fn calibrate(
         iso,
         fit,
     };
-    let folder = session.calibration_dir();
-    session.keep(&folder.join("colour.png"), &picture).map_err(SeriesError::from)?;
+    series.figure("png", picture);
     Ok(series.keep(kept, verdict, &figure, progress)?)
 }
 

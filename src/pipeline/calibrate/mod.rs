@@ -101,6 +101,9 @@ pub enum RecordError {
         /// What differs.
         source: OtherRig,
     },
+    /// A calibration of an earlier program.
+    #[error("{} was written by an earlier version of unlit, in a form that is not read any more; calibrate again (the file is kept)", .0.display())]
+    Older(PathBuf),
     /// A calibration of a later program.
     #[error("{} was written by a later version of unlit (form {found}, this program knows {SCHEMA}); update unlit", path.display())]
     TooNew {
@@ -124,6 +127,8 @@ pub(super) struct Series<'a> {
     remarks: Vec<String>,
     /// A small picture of each, for the report; absent where there is nothing to see.
     pictures: Vec<Option<Vec<u8>>>,
+    /// Figures beside the chart, by what their files' names end in.
+    figures: Vec<(&'static str, Vec<u8>)>,
 }
 
 impl<'a> Series<'a> {
@@ -145,6 +150,7 @@ impl<'a> Series<'a> {
             paths: vec![],
             remarks: vec![],
             pictures: vec![],
+            figures: vec![],
         })
     }
 
@@ -214,6 +220,11 @@ impl<'a> Series<'a> {
         }
     }
 
+    /// A figure to be kept beside the chart, in a file whose name ends in `ending`.
+    pub(super) fn figure(&mut self, ending: &'static str, bytes: Vec<u8>) {
+        self.figures.push((ending, bytes));
+    }
+
     /// Says why a shot is not used.
     pub(super) fn leave_out(&mut self, shot: usize, why: String) {
         self.shots[shot].left_out = Some(why);
@@ -228,7 +239,7 @@ impl<'a> Series<'a> {
         figure: &Chart,
         progress: &Progress,
     ) -> Result<Record<T>, SeriesError> {
-        let Self { session, kind, rig, shots, paths, remarks, pictures, .. } = self;
+        let Self { session, kind, rig, shots, paths, remarks, pictures, mut figures, .. } = self;
         verdict.sentences.extend(remarks);
         let count = paths.len();
         for (done, (shot, path)) in shots.iter().zip(&paths).enumerate() {
@@ -247,9 +258,8 @@ impl<'a> Series<'a> {
         let measured = utc_now();
         let software = concat!("unlit ", env!("CARGO_PKG_VERSION")).to_owned();
         let record = Record { schema: SCHEMA, measured, software, rig, shots, verdict, fit };
-        let folder = session.calibration_dir();
-        session.keep(&folder.join(format!("{kind}.svg")), chart::picture(figure).as_bytes())?;
-        store(session, kind, &record)?;
+        figures.push(("svg", chart::picture(figure).into_bytes()));
+        store(session, kind, &record, &figures)?;
         progress.report("copying the shots", count, count);
         for (shot, picture) in record.shots.iter().zip(pictures) {
             if let Some(picture) = picture {
@@ -268,19 +278,41 @@ fn copy_name(kind: &str, file: &str, blake3: &str) -> String {
     format!("calibration/{kind}/{mark}{}", name.strip_prefix(&mark).unwrap_or(name))
 }
 
-/// Makes a record the session's calibration of this kind. One that it had goes to `calibration/former/`, under the
-/// date of its measurement: what was processed by it stays traceable.
-fn store<T: Serialize>(session: &Session, kind: &str, record: &Record<T>) -> Result<(), SeriesError> {
+/// Makes a record the session's calibration of this kind, with its figures, each by what its file's name ends in. What the
+/// session had of this kind goes to `calibration/former/`, under the date of its measurement, even if it cannot be read
+/// any more: what was processed by it stays traceable. The record comes last: while it is the old one, all is as before.
+fn store<T: Serialize>(
+    session: &Session,
+    kind: &str,
+    record: &Record<T>,
+    figures: &[(&str, Vec<u8>)],
+) -> Result<(), SeriesError> {
+    #[derive(Default, serde::Deserialize)]
+    struct Dated {
+        #[serde(default)]
+        measured: String,
+    }
     let path = file(session, kind);
     let bytes = serde_json::to_vec_pretty(record)
         .map_err(|e| RecordError::Damaged { path: path.clone(), reason: e.to_string() })?;
-    if let Ok(Some(former)) = load::<serde_json::Map<String, serde_json::Value>>(session, kind) {
-        let now = std::fs::read(&path).map_err(io(&path))?;
-        if now == bytes {
-            return Ok(());
+    let folder = session.calibration_dir();
+    let there = |path: &Path| match std::fs::read(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+        other => other.map(Some).map_err(io(path)),
+    };
+    if let Some(former) = there(&path)?.filter(|former| *former != bytes) {
+        let Dated { measured } = serde_json::from_slice(&former).unwrap_or_default();
+        let date: String = measured.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').collect();
+        let name = format!("former/{kind}_{date}_{}", &disk::digest(&former)[..8]);
+        for ending in ["svg", "png"] {
+            if let Some(figure) = there(&folder.join(format!("{kind}.{ending}")))? {
+                session.keep(&folder.join(format!("{name}.{ending}")), &figure)?;
+            }
         }
-        let date = former.measured.replace(':', "");
-        session.keep(&session.calibration_dir().join(format!("former/{kind}_{date}.json")), &now)?;
+        session.keep(&folder.join(format!("{name}.json")), &former)?;
+    }
+    for (ending, figure) in figures {
+        session.keep(&folder.join(format!("{kind}.{ending}")), figure)?;
     }
     Ok(session.keep(&path, &bytes)?)
 }
@@ -292,7 +324,7 @@ pub(super) fn load<T: DeserializeOwned>(
 ) -> Result<Option<Record<T>>, RecordError> {
     #[derive(serde::Deserialize)]
     struct Form {
-        schema: u32,
+        schema: Option<u32>,
     }
     let path = file(session, kind);
     let bytes = match std::fs::read(&path) {
@@ -300,7 +332,8 @@ pub(super) fn load<T: DeserializeOwned>(
         other => other.map_err(|source| RecordError::Io { path: path.clone(), source })?,
     };
     let damaged = |e: serde_json::Error| RecordError::Damaged { path: path.clone(), reason: e.to_string() };
-    let Form { schema: found } = serde_json::from_slice(&bytes).map_err(damaged)?;
+    let Form { schema } = serde_json::from_slice(&bytes).map_err(damaged)?;
+    let found = schema.ok_or_else(|| RecordError::Older(path.clone()))?;
     if found > SCHEMA {
         return Err(RecordError::TooNew { path, found });
     }
