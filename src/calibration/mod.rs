@@ -1,9 +1,11 @@
 //! Fits from calibration shots. Plain inputs, no files.
 
+pub mod certificate;
 pub mod colour;
 pub mod exposure;
 mod flash;
 pub mod flat;
+pub mod guide;
 pub mod levels;
 mod linear;
 pub mod noise;

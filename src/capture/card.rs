@@ -66,6 +66,20 @@ pub fn calibration_shots(session: &Session) -> Result<Vec<CalibrationShot>, Plac
     Ok(shots)
 }
 
+/// Removes a shot; the journal hears of it first.
+pub(super) fn remove(session: &Session, name: &str) -> Result<(), PlaceError> {
+    let folder = shots_dir(session);
+    let own = folder.join(name);
+    note(session, session::SHOT_REMOVED, json!({ "name": name }))?;
+    let aside = tempfile::Builder::new()
+        .prefix(store::TEMPORARY_PREFIX)
+        .tempdir_in(&folder)
+        .map_err(disk(&folder))?;
+    std::fs::rename(&own, aside.path().join("shot")).map_err(disk(&own))?;
+    store::sync_folder(&folder).map_err(disk(&folder))?;
+    aside.close().map_err(disk(&folder))
+}
+
 /// The two frames' paths of a calibration shot.
 pub fn calibration_frames(session: &Session, shot: &CalibrationShot) -> (PathBuf, PathBuf) {
     let folder = shots_dir(session).join(&shot.name);

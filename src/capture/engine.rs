@@ -219,7 +219,8 @@ impl Engine {
         self.shoot(&mut place, progress)?;
         let shot = place.into_shot().ok_or(PlaceError::Incomplete)?;
         let words = format!("Calibration shot {} at {} m is stored.", shot.name, shot.distance_m);
-        let data = json!({ "session": name_of(session), "name": shot.name });
+        let data =
+            json!({ "session": name_of(session), "kind": "flash", "shot": shot.name, "name": shot.name });
         self.events.tell(Topic::CalibrationShot, words, data);
         Ok(shot)
     }

@@ -97,7 +97,9 @@ pub(super) fn noise_of(
     calibration: &FlashCalibration,
 ) -> Result<SessionNoise, RecordError> {
     let own = noise::of(session, settings)?;
-    let (Some(from), Some(to)) = (calibration.iso.map(crate::units::Iso), settings.iso) else { return Ok(own) };
+    let (Some(from), Some(to)) = (calibration.iso.map(crate::units::Iso), settings.iso) else {
+        return Ok(own);
+    };
     if own.model.is_some() || from == to {
         return Ok(own);
     }

@@ -1,5 +1,7 @@
 //! `process`: a session's accepted pairs to reflectance texture, deviations, view counts and model.
 
+use super::certify::CertificateError;
+use super::colour::{ColoursError, SessionColours};
 use super::cost::Cost;
 use super::develop::{DevelopError, noise_of};
 use super::energy::{self, EnergyError, FlashAccount};
@@ -9,7 +11,8 @@ use super::manifest::{StageManifest, digest};
 use super::memory::Needs;
 use super::scale::{Ratios, SessionScale};
 use super::scene::{self, SceneError};
-use super::{output, solve, uvs};
+use super::uvs::UvsError;
+use super::{dress, output, solve, uvs};
 use crate::calibration::FlashCalibration;
 use crate::codec::asset::AssetError;
 use crate::codec::png::PngError;
@@ -182,6 +185,15 @@ pub enum ProcessError {
     /// A preview in the report.
     #[error(transparent)]
     Preview(#[from] PngError),
+    /// The camera's colours.
+    #[error(transparent)]
+    Colours(#[from] ColoursError),
+    /// The model's certificate.
+    #[error(transparent)]
+    Certificate(#[from] CertificateError),
+    /// Made texture coordinates.
+    #[error(transparent)]
+    Uvs(#[from] UvsError),
     /// A derived file does not fit the scene.
     #[error("{} was made from another scene: delete it and process again", .0.display())]
     Stale(PathBuf),
@@ -221,6 +233,8 @@ pub(super) struct Inputs {
     pub(super) calibration: FlashCalibration,
     /// How light goes with the settings.
     pub(super) scale: SessionScale,
+    /// What a chart says of the camera's colours.
+    pub(super) colours: SessionColours,
     pub(super) scene: Scene,
     /// Accepted pairs with their cameras, by name.
     pub(super) matched: Vec<(Arc<PairRecord>, Camera)>,
@@ -233,7 +247,7 @@ pub(super) struct Inputs {
     pub(super) flash: FlashAccount,
     /// Where the object's texture coordinates were asked to come from, and did.
     pub(super) uvs: (UvChoice, UvSource),
-    /// Digest of all of it.
+    /// Digest of all that the texture is made from.
     pub(super) key: String,
 }
 
@@ -263,6 +277,7 @@ pub fn process(
             summary
         }
     };
+    summary.up_to_date &= !dress::dress(session, &inputs, &summary, &key, &mut manifest)?;
     if options.views {
         summary.views = super::views::make(session, &inputs, &mut manifest, progress)?;
         summary.up_to_date &= summary.views.0 == 0;
@@ -270,19 +285,7 @@ pub fn process(
     Ok(summary)
 }
 
-/// Whether the model is missing, or was not made from what the session holds now. An error says that something is
-/// missing to make it from.
-pub fn is_due(session: &Session) -> Result<bool, ProcessError> {
-    let inputs = Inputs::read(session)?;
-    // At the last run's size and texture coordinates: other inputs make another key in any case.
-    Ok(!stored(session).is_some_and(|summary| {
-        let uvs = (summary.uv_choice, summary.uvs);
-        let key = texture_key(&inputs.key, summary.texture_size, &uvs);
-        StageManifest::load(session).is_done(session, "texture", &key)
-    }))
-}
-
-fn texture_key(inputs: &str, size: usize, uvs: &(UvChoice, UvSource)) -> String {
+pub(super) fn texture_key(inputs: &str, size: usize, uvs: &(UvChoice, UvSource)) -> String {
     digest(&[inputs.as_bytes(), &size.to_le_bytes(), format!("{uvs:?}").as_bytes()])
 }
 
@@ -292,7 +295,7 @@ pub fn stored(session: &Session) -> Option<ProcessSummary> {
 }
 
 fn outputs(uvs: &UvSource) -> Vec<String> {
-    ["reflectance.exr", "stddev.exr", "views.exr", "model.glb", "summary.json", "report.html"]
+    ["reflectance.exr", "stddev.exr", "views.exr", "summary.json"]
         .map(|name| format!("model/{name}"))
         .into_iter()
         .chain([super::views::PATCHES.to_owned()])
@@ -321,8 +324,10 @@ impl Inputs {
         if matched.is_empty() {
             return Err(ProcessError::NoPairs(no_pairs(&left_out, &scene)));
         }
+        let pairs: Vec<&PairRecord> = matched.iter().map(|(pair, _)| &**pair).collect();
         let remarks = remarks(session, &calibrated.fit, &matched)?;
-        let scaled = flash::scaled_for(&calibrated, matched.iter().map(|(pair, _)| &**pair), &scale)?;
+        let scaled = flash::scaled_for(&calibrated, pairs.iter().copied(), &scale)?;
+        let colours = SessionColours::measured(session, &pairs)?;
         let mut parts: Vec<Vec<u8>> = vec![];
         for path in [flash::file(session), session.scene_dir().join("scene.json")] {
             parts.push(std::fs::read(&path).map_err(io(&path))?);
@@ -351,7 +356,7 @@ impl Inputs {
         let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
         let calibration = calibrated.fit;
         let uvs = Default::default();
-        Ok(Self { calibration, scale, scene, matched, left_out, remarks, scaled, flash, uvs, key })
+        Ok(Self { calibration, scale, colours, scene, matched, left_out, remarks, scaled, flash, uvs, key })
     }
 
     /// The energy of a pair's pulse against the calibration's.
@@ -399,8 +404,7 @@ fn solve_and_write(
     if let Some(object) = inputs.scene.meshes.first() {
         uvs::keep(session, object, &summary.uvs)?;
     }
-    summary.costs.clone_from(&costs.list);
-    output::write(session, &scene, inputs, &texture, &summary)?;
+    output::write(session, &texture)?;
     super::views::keep_patches(session, &texture.bounces.rho)?;
     costs.done("writing");
     summary.costs = costs.list;

@@ -1,8 +1,12 @@
 //! `model/report.html`: what a run made, from what, and how far to trust it.
 
+mod certificate;
+mod colour;
 mod flash;
 mod previews;
 
+use super::certify::Standing;
+use super::colour::SessionColours;
 use super::cost::Cost;
 use super::energy::FlashAccount;
 use super::process::ProcessSummary;
@@ -14,6 +18,7 @@ use crate::photometry::FlashGain;
 use crate::reflectance::robust::Lobe;
 use crate::reflectance::unwrap::UvSource;
 use crate::session::Manifest;
+pub(in crate::pipeline) use flash::repeatability;
 pub(super) use previews::Estimates;
 use previews::previews;
 
@@ -25,6 +30,8 @@ pub(super) struct Told<'a> {
     pub(super) pairs: Vec<&'a PairRecord>,
     pub(super) summary: &'a ProcessSummary,
     pub(super) flash: &'a FlashAccount,
+    pub(super) colours: &'a SessionColours,
+    pub(super) certificate: Option<&'a Standing>,
     pub(super) estimates: Estimates<'a>,
 }
 
@@ -41,6 +48,7 @@ pub(super) fn html(told: &Told<'_>) -> Result<String, PngError> {
     let sections = vec![
         Section { heading: "The texture", blocks: vec![Block::Pictures(previews(told.estimates)?)] },
         Section { heading: "Figures", blocks: figures(told) },
+        Section { heading: "Certificate", blocks: certificate::blocks(told.certificate) },
         Section { heading: "Camera and flash", blocks: rig(told) },
         Section { heading: "The flash over the session", blocks: flash::blocks(told.flash) },
         Section { heading: "Pairs", blocks: pairs(told.summary) },
@@ -85,12 +93,7 @@ fn figures(told: &Told<'_>) -> Vec<Block> {
     }
     let mut blocks = vec![
         Block::Facts(facts),
-        Block::Text(
-            "Reflectance runs from 0 to 1 and is linear. Colour space: camera RGB, uncalibrated. The channels are \
-             the camera's own, so colours are right only in relation to each other; no colour chart went into \
-             this."
-                .into(),
-        ),
+        Block::Text(format!("Reflectance runs from 0 to 1 and is linear. {}", colour::words(told.colours))),
         Block::Text(
             "Rendering programs expect diffuse colours between about 0.02 (charcoal) and 0.9 (fresh snow). Values \
              outside are kept as they were measured."
@@ -236,6 +239,7 @@ fn files() -> Vec<Block> {
              saw it, it was filled.",
         ],
         ["summary.json", "The figures above, for programs."],
+        ["certificate.json", "Known patches against the texture, where there were any."],
     ];
     let rows = rows.into_iter().map(|row| row.map(str::to_owned).to_vec()).collect();
     vec![
@@ -248,16 +252,16 @@ fn files() -> Vec<Block> {
     ]
 }
 
-fn fact(name: &str, value: String) -> (String, String) {
+pub(in crate::pipeline) fn fact(name: &str, value: String) -> (String, String) {
     (name.to_owned(), value)
 }
 
 /// Date and minute of an ISO 8601 moment.
-fn moment(iso: &str) -> String {
+pub(in crate::pipeline) fn moment(iso: &str) -> String {
     iso.get(..16).unwrap_or(iso).replace('T', " ")
 }
 
-fn or_untold(text: String) -> String {
+pub(in crate::pipeline) fn or_untold(text: String) -> String {
     if text.is_empty() { "the files do not tell".into() } else { text }
 }
 
@@ -359,6 +363,8 @@ mod tests {
             pairs: vec![],
             summary: &summary,
             flash: &flash,
+            colours: &SessionColours::default(),
+            certificate: None,
             estimates: Estimates { size: (640, 4), at: &at },
         })
         .unwrap()

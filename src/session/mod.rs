@@ -40,7 +40,7 @@ pub use room::Room;
 pub use sequence::{
     Between, MOST_POSITIONS, PositionRecord, SEQUENCE_SCHEMA, SequencePlan, SequenceRecord, Stage, UnderWay,
 };
-pub use shots::{InterruptedShot, SHOT_ABANDONED, SHOT_INTERRUPTED, SHOT_STARTED, SHOT_STORED};
+pub use shots::{InterruptedShot, SHOT_ABANDONED, SHOT_INTERRUPTED, SHOT_REMOVED, SHOT_STARTED, SHOT_STORED};
 pub use verify::{Damage, Finding, Verification};
 
 use crate::pair::{Attempt, Lighting, Plan, Window};

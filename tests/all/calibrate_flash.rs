@@ -4,7 +4,7 @@ use crate::samples::shared;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-use unlit::pipeline::process::is_due;
+use unlit::pipeline::standing::is_due;
 use unlit::session::Session;
 
 const DISTANCES: [(&str, &str); 5] =

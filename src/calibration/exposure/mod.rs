@@ -80,6 +80,9 @@ pub struct Step {
     pub deviation_95: [f64; 2],
     /// Shots that it is the mean of.
     pub shots: usize,
+    /// Which they are: places in the order given, from 0.
+    #[serde(default)]
+    pub shot_numbers: Vec<usize>,
     /// Share of tiles and colours that were compared with step 00, 0 to 1.
     pub frame_share: f64,
     /// How much the pattern of light over the frame differs from step 00's, beyond noise; relative, one standard
@@ -227,7 +230,7 @@ struct Raw {
     factor: f64,
     /// Relative variance by noise alone.
     noise: f64,
-    shots: usize,
+    shots: Vec<usize>,
     frame_share: f64,
     pattern_sd: f64,
 }
@@ -241,9 +244,9 @@ fn measure(found: &ladder::Found, shots: &[EvenFrame]) -> Option<Ladder> {
     }
     let base: Vec<&EvenFrame> = steps.values().next()?.iter().map(|&s| &shots[s]).collect();
     let (mut raw, mut scatter, mut freedom) = (vec![], 0.0, 0usize);
-    for (number, own) in steps.values().enumerate() {
-        let label = label(*own.first()?)?;
-        let own: Vec<&EvenFrame> = own.iter().map(|&s| &shots[s]).collect();
+    for (number, numbers) in steps.values().enumerate() {
+        let label = label(*numbers.first()?)?;
+        let own: Vec<&EvenFrame> = numbers.iter().map(|&s| &shots[s]).collect();
         let over = shared_tiles(&[base.clone(), own.clone()].concat());
         let all = own.first()?.tiles.tiles.len() as f64 * 3.0;
         let lights: Vec<Light> = own.iter().map(|shot| light(shot, &over)).collect();
@@ -268,7 +271,7 @@ fn measure(found: &ladder::Found, shots: &[EvenFrame]) -> Option<Ladder> {
             stops: setting.stops(label),
             factor: if first { 1.0 } else { bright / dark_mean },
             noise: if first { 0.0 } else { noise(&lights) + noise(&dark) },
-            shots: own.len(),
+            shots: numbers.clone(),
             frame_share: over.len() as f64 / all,
             pattern_sd: if first { 0.0 } else { pattern(&own, &base, &over, bright / dark_mean) },
         });
@@ -302,7 +305,7 @@ fn steps_of(raw: &[Raw], scatter: Option<f64>, freedom: usize) -> Vec<Step> {
     let step = |own: &Raw| {
         let stops = own.stops - base.stops;
         let ratio = own.factor / stops.exp2();
-        let count = 1.0 / own.shots as f64 + 1.0 / base.shots as f64;
+        let count = 1.0 / own.shots.len() as f64 + 1.0 / base.shots.len() as f64;
         let first = stops == 0.0;
         let repeat = if first { 0.0 } else { scatter.unwrap_or(0.0) * count };
         let half = ratio * (Z * Z * own.noise + t * t * repeat).sqrt();
@@ -312,7 +315,8 @@ fn steps_of(raw: &[Raw], scatter: Option<f64>, freedom: usize) -> Vec<Step> {
             factor: own.factor,
             deviation: ratio - 1.0,
             deviation_95: [ratio - 1.0 - half, ratio - 1.0 + half],
-            shots: own.shots,
+            shots: own.shots.len(),
+            shot_numbers: own.shots.clone(),
             frame_share: own.frame_share,
             pattern_sd: own.pattern_sd,
         }

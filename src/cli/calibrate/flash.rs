@@ -9,7 +9,7 @@ use glam::DVec3;
 use std::path::{Path, PathBuf};
 
 /// Reflectance of office paper.
-const PAPER: f64 = 0.94;
+pub(in crate::cli) const PAPER: f64 = 0.94;
 
 /// Arguments of `unlit calibrate flash`.
 #[derive(clap::Args)]

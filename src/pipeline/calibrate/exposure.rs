@@ -67,7 +67,7 @@ pub fn load(session: &Session) -> Result<Option<Record<ExposureFit>>, RecordErro
     load_record(session, KIND)
 }
 
-fn figure(fit: &ExposureFit) -> Chart {
+pub(super) fn figure(fit: &ExposureFit) -> Chart {
     let series = fit.ladders.iter().map(|ladder| {
         let points = ladder.steps.iter().map(|step| {
             let half = (step.deviation_95[1] - step.deviation_95[0]) / 2.0;

@@ -191,7 +191,7 @@ impl<'a> Reader<'a> {
 }
 
 /// Each shot's light over what the fit says of its distance.
-fn picture(fit: &FlashCalibration) -> Chart {
+pub(super) fn picture(fit: &FlashCalibration) -> Chart {
     let points = |held_out: bool| {
         let shown = fit.cards.iter().filter(move |c| c.gain > 0.0 && c.held_out == held_out);
         shown

@@ -8,8 +8,8 @@ use super::FlashError;
 use crate::calibration::exposure::ScaleSource;
 use crate::calibration::{FlashCalibration, OtherRig, Record};
 use crate::pair::{FlashRecord, Lighting, PairRecord, Settings};
-use crate::pipeline::scale::SessionScale;
 use crate::pipeline::develop::flash_ratio;
+use crate::pipeline::scale::SessionScale;
 use crate::units::{FNumber, Iso};
 
 const OF: &str = "the flash calibration";
