@@ -83,10 +83,10 @@ pub struct Verdict {
 pub struct OtherRig {
     /// What differs.
     pub what: &'static str,
-    /// What it is.
-    pub found: String,
+    /// What it is. Boxed, as the next: it stands in errors of errors of errors.
+    pub found: Box<str>,
     /// What it should be.
-    pub expected: String,
+    pub expected: Box<str>,
     /// Whose it should be: "the calibration", "the first shot".
     pub of: &'static str,
 }
@@ -118,7 +118,7 @@ impl Rig {
             return Ok(());
         }
         let (found, expected) = (lighting.polariser_words(), self.lighting.polariser_words());
-        Err(OtherRig { what: "polariser", found, expected, of })
+        Err(OtherRig { what: "polariser", found: found.into(), expected: expected.into(), of })
     }
 }
 
@@ -130,7 +130,7 @@ fn same(
 ) -> Result<(), OtherRig> {
     match (found, expected) {
         (Some(found), Some(expected)) if found.trim() != expected.trim() => {
-            Err(OtherRig { what, found: found.clone(), expected: expected.clone(), of })
+            Err(OtherRig { what, found: found.as_str().into(), expected: expected.as_str().into(), of })
         }
         _ => Ok(()),
     }

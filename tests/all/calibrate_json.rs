@@ -3,7 +3,7 @@
 use crate::calibrate_levels::file;
 use crate::raw::sample;
 use serde_json::Value;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// What `unlit calibrate KIND SESSION ... --json` printed, and what it keeps.
@@ -29,6 +29,12 @@ fn calibrated(session: &Path, kind: &str, kept: &str, arguments: &[String]) -> V
     record
 }
 
+fn new(session: &Path) -> PathBuf {
+    let made = Command::new(env!("CARGO_BIN_EXE_unlit")).arg("new").arg(session).output().unwrap();
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    session.to_owned()
+}
+
 fn birdbath(names: impl IntoIterator<Item = String>) -> Vec<String> {
     names.into_iter().map(|name| file(&format!("calibration/{name}"))).collect()
 }
@@ -36,9 +42,7 @@ fn birdbath(names: impl IntoIterator<Item = String>) -> Vec<String> {
 #[test]
 fn every_calibration_prints_its_record_alone_with_names_that_say_quantity_and_unit() {
     let folder = tempfile::tempdir().unwrap();
-    let session = folder.path().join("s");
-    let made = Command::new(env!("CARGO_BIN_EXE_unlit")).arg("new").arg(&session).output().unwrap();
-    assert!(made.status.success());
+    let session = new(&folder.path().join("s"));
     let all = |kind: &str, arguments: Vec<String>| calibrated(&session, kind, kind, &arguments);
     let number = |value: &Value, field: &str| {
         value[field].as_f64().unwrap_or_else(|| panic!("{field} is no number in {value}"))
@@ -97,6 +101,9 @@ fn every_calibration_prints_its_record_alone_with_names_that_say_quantity_and_un
     let record = calibrated(&session, "repeatability", "steadiness", &frames);
     assert!(record["frames"].is_array(), "{record}");
 
-    let colour = all("colour", vec![sample("tinydng_colorchart.dng").display().to_string()]);
+    // Of another body: a session of its own.
+    let session = new(&folder.path().join("chart"));
+    let chart = vec![sample("tinydng_colorchart.dng").display().to_string()];
+    let colour = calibrated(&session, "colour", "colour", &chart);
     number(&colour["fit"], "mean");
 }

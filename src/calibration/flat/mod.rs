@@ -161,13 +161,13 @@ fn same_optics(
     if let (Some(expected), Some(found)) = (focal, settings.focal_length_mm)
         && (found / expected - 1.0).abs() > 0.01
     {
-        let (found, expected) = (format!("{found} mm"), format!("{expected} mm"));
+        let (found, expected) = (format!("{found} mm").into(), format!("{expected} mm").into());
         return Err(OtherRig { what: "focal length", found, expected, of });
     }
     if let (Some(expected), Some(found)) = (aperture, settings.aperture)
         && (Nominal.aperture(found) / Nominal.aperture(expected) - 1.0).abs() > 0.01
     {
-        let (found, expected) = (found.to_string(), expected.to_string());
+        let (found, expected) = (found.to_string().into(), expected.to_string().into());
         return Err(OtherRig { what: "aperture", found, expected, of });
     }
     Ok(())

@@ -32,7 +32,7 @@ pub fn correct(
     if let (Some(found), Some(expected)) = (settings.aperture, aperture)
         && found != expected
     {
-        let (found, expected) = (found.to_string(), expected.to_string());
+        let (found, expected) = (found.to_string().into(), expected.to_string().into());
         let source = OtherRig { what: "aperture", found, expected, of: "the flash calibration" };
         return Err(FlashError::OtherRig { name, source });
     }

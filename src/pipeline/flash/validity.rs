@@ -36,7 +36,7 @@ pub(super) fn fits(
     if let (Some(found), Some(expected)) = (settings.focal_length_mm, calibrated.fit.focal_length_mm)
         && (found / expected - 1.0).abs() > SAME_FOCAL_LENGTH
     {
-        let (found, expected) = (format!("{found} mm"), format!("{expected} mm"));
+        let (found, expected) = (format!("{found} mm").into(), format!("{expected} mm").into());
         return Err(refused(OtherRig { what: "focal length", found, expected, of: OF }));
     }
     Ok(())
