@@ -250,8 +250,8 @@ fn draw_with(seed: u64, truth: Ring, ruler: Ring, lobe: bool, distances: &[f64],
             let g = factor.at(&intrinsics(), centre);
             let unit = energy * g * light(&ring, &plane, centre);
             let mut cell = Cell { centre, value: [0.0; 3], signal: [0.0; 3], sites: [64.0, 128.0, 64.0] };
-            for c in 0..3 {
-                let value = radiance[c] * unit;
+            for (c, radiance) in radiance.iter().enumerate() {
+                let value = radiance * unit;
                 let variance = (0.3 * value + 2.0) / cell.sites[c];
                 cell.value[c] = value + variance.sqrt() * gauss();
                 cell.signal[c] = cell.value[c].max(0.0);
