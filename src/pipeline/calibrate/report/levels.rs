@@ -7,8 +7,8 @@ use crate::export::calibration_report::{Piece, Row, Table};
 use crate::session::Session;
 
 pub(super) fn tell(session: &Session, record: &Record<LevelsFit>) -> Told {
-    let mut told = Told::default();
-    told.roles = vec![String::new(); record.shots.len()];
+    let roles = vec![String::new(); record.shots.len()];
+    let mut told = Told { roles, ..Told::default() };
     // Its histograms are in no record; the figure was drawn when the frames were read.
     if let Ok(bytes) = std::fs::read(session.calibration_dir().join("levels.svg")) {
         let caption = "Histogram of the dark frames by colour; without dark frames, saturation over ISO.";

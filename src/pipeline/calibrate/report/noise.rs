@@ -10,8 +10,8 @@ use crate::session::Session;
 const COLOURS: [&str; 3] = ["red", "green", "blue"];
 
 pub(super) fn tell(_: &Session, record: &Record<NoiseFit>) -> Told {
-    let mut told = Told::default();
-    told.roles = vec![String::new(); record.shots.len()];
+    let roles = vec![String::new(); record.shots.len()];
+    let mut told = Told { roles, ..Told::default() };
     for noise in &record.fit.noise {
         told.valid_for.push(noise.iso.to_string());
         // Lit frames are read first; what makes no pair is left out.
