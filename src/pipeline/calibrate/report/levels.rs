@@ -1,6 +1,6 @@
 //! Sensor levels in the report.
 
-use super::{Told, Z95, head, or_dash, used};
+use super::{Told, Z95, head, or_dash, picture, used};
 use crate::calibration::Record;
 use crate::calibration::levels::{BlackSource, IsoLevels, LevelsFit};
 use crate::export::calibration_report::{Piece, Row, Table};
@@ -10,10 +10,8 @@ pub(super) fn tell(session: &Session, record: &Record<LevelsFit>) -> Told {
     let roles = vec![String::new(); record.shots.len()];
     let mut told = Told { roles, ..Told::default() };
     // Its histograms are in no record; the figure was drawn when the frames were read.
-    if let Ok(bytes) = std::fs::read(session.calibration_dir().join("levels.svg")) {
-        let caption = "Histogram of the dark frames by colour; without dark frames, saturation over ISO.";
-        told.pieces.push(Piece::Picture { kind: "image/svg+xml", bytes, caption: caption.into() });
-    }
+    let caption = "Histogram of the dark frames by colour; without dark frames, saturation over ISO.";
+    told.pieces.push(picture(session, "levels.svg", "image/svg+xml", caption));
     for levels in &record.fit.levels {
         told.valid_for.push(levels.iso.to_string());
         let (dark, blown) = frames(record, levels);
