@@ -23,10 +23,7 @@ pub(super) fn tell(session: &Session, record: &Record<SessionColour>) -> Told {
         false => "corners given by hand".into(),
     };
     let iso = fit.standards.iso_19264_1_level.as_deref().unwrap_or("none met");
-    let mut pieces = vec![Piece::Swatches(swatches(fit)), Piece::Plot(Plot::from(figure(fit)))];
     let caption = "Where the patches were found; red outlines: left out.";
-    pieces.push(picture(session, "colour.png", "image/png", caption));
-    pieces.extend([differences(fit, &from), matrices(kept, &from), patches(fit, &from)]);
     Told {
         valid_for: vec![light.into()],
         facts: vec![
@@ -45,7 +42,14 @@ pub(super) fn tell(session: &Session, record: &Record<SessionColour>) -> Told {
                 ),
             ),
         ],
-        pieces,
+        pieces: vec![
+            Piece::Swatches(swatches(fit)),
+            Piece::Plot(Plot::from(figure(fit))),
+            picture(session, "colour.png", "image/png", caption),
+            differences(fit, &from),
+            matrices(kept, &from),
+            patches(fit, &from),
+        ],
         roles: vec!["chart".into(), "room without flash".into()],
     }
 }
