@@ -1,5 +1,8 @@
 //! Normal equations of a few unknowns.
 
+/// Half width of a 95 % interval of a normal distribution in standard deviations.
+pub(super) const Z95: f64 = 1.959_964;
+
 /// Solves `matrix x = right` for a symmetric positive matrix by Gauss and Jordan with pivots: x and the inverse, which
 /// is the covariance where the matrix is the sum of `row row^T / variance`. `None` if the rows do not tell all unknowns.
 pub(super) fn solve(matrix: &[Vec<f64>], right: &[f64]) -> Option<(Vec<f64>, Vec<Vec<f64>>)> {
@@ -38,18 +41,17 @@ pub(super) fn solve(matrix: &[Vec<f64>], right: &[f64]) -> Option<(Vec<f64>, Vec
 /// 97.5 % quantile of Student's t with `freedom` degrees of freedom (Cornish and Fisher's expansion from 3 up;
 /// Abramowitz and Stegun 26.7.5): half width of a 95 % interval in standard errors.
 pub(super) fn t_975(freedom: usize) -> f64 {
-    const Z: f64 = 1.959_964;
     match freedom {
         0 => f64::INFINITY,
         1 => 12.706_2,
         2 => 4.302_65,
         _ => {
-            let (n, z2) = (freedom as f64, Z * Z);
-            let first = Z * (z2 + 1.0) / 4.0;
-            let second = Z * ((5.0 * z2 + 16.0) * z2 + 3.0) / 96.0;
-            let third = Z * (((3.0 * z2 + 19.0) * z2 + 17.0) * z2 - 15.0) / 384.0;
-            let fourth = Z * ((((79.0 * z2 + 776.0) * z2 + 1482.0) * z2 - 1920.0) * z2 - 945.0) / 92_160.0;
-            Z + (first + (second + (third + fourth / n) / n) / n) / n
+            let (n, z2) = (freedom as f64, Z95 * Z95);
+            let first = Z95 * (z2 + 1.0) / 4.0;
+            let second = Z95 * ((5.0 * z2 + 16.0) * z2 + 3.0) / 96.0;
+            let third = Z95 * (((3.0 * z2 + 19.0) * z2 + 17.0) * z2 - 15.0) / 384.0;
+            let fourth = Z95 * ((((79.0 * z2 + 776.0) * z2 + 1482.0) * z2 - 1920.0) * z2 - 945.0) / 92_160.0;
+            Z95 + (first + (second + (third + fourth / n) / n) / n) / n
         }
     }
 }

@@ -45,6 +45,9 @@ pub struct RepeatReport {
     pub region: Window,
     /// Shots that failed, were left out and taken again.
     pub left_out: u32,
+    /// What calibrations of the session do not count for it, and why.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub remarks: Vec<String>,
     /// What the series says.
     #[serde(flatten)]
     pub result: Repeatability,
@@ -73,6 +76,8 @@ struct Series<'a> {
     measured: &'a MeasuredLevels,
     window: Window,
     left_out: u32,
+    /// What calibrations of the session do not count, and why.
+    remarks: Vec<String>,
     /// What the first shot tells.
     first: Option<First>,
     /// Digests of the files that came, by which one that comes again is known.
@@ -104,8 +109,15 @@ impl Engine {
         }
         let measured = levels::load(session).map_err(CaptureError::Levels)?;
         let window = session.manifest().region.unwrap_or(MIDDLE);
-        let mut series =
-            Series { session, measured: &measured, window, left_out: 0, first: None, files: HashSet::new() };
+        let mut series = Series {
+            session,
+            measured: &measured,
+            window,
+            left_out: 0,
+            remarks: vec![],
+            first: None,
+            files: HashSet::new(),
+        };
         let mut bench = self.take_bench();
         let mut hands = Hands { bench: &mut bench, prompter: self.prompter(), progress };
         let taken = self.take_series(&mut hands, &mut series, shots);
@@ -114,8 +126,13 @@ impl Engine {
         drop(bench);
         let result = repeatability(&taken?)?;
         let settings = series.first.map(|first| first.settings).unwrap_or_default();
-        let (taken, left_out) = (utc_now(), series.left_out);
-        keep(session, &RepeatReport { taken, settings, region: window, left_out, result: result.clone() })?;
+        let (taken, left_out, remarks) = (utc_now(), series.left_out, series.remarks);
+        for remark in &remarks {
+            self.events().tell(Topic::Trouble, remark.clone(), json!({}));
+        }
+        let report =
+            RepeatReport { taken, settings, region: window, left_out, remarks, result: result.clone() };
+        keep(session, &report)?;
         report::write(session, progress)?;
         Ok(result)
     }
@@ -244,9 +261,14 @@ impl Series<'_> {
             Some(first) => first,
             empty => empty.insert(First {
                 settings: shot.settings[1].clone(),
-                noise: match noise::model(self.session, &shot.settings[1]).map_err(CaptureError::Levels)? {
-                    Some(measured) => measured,
-                    None => NoiseModel::measure(&[shot.off.clone(), shot.on.clone()])?,
+                noise: {
+                    let own = noise::of(self.session, &shot.settings[1]).map_err(CaptureError::Levels)?;
+                    self.remarks.extend(levels::remark(self.measured, &shot.settings[1]));
+                    self.remarks.extend(own.remark);
+                    match own.model {
+                        Some(measured) => measured,
+                        None => NoiseModel::measure(&[shot.off.clone(), shot.on.clone()])?,
+                    }
                 },
                 sites: safe_sites(&shot.on),
             }),

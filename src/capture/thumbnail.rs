@@ -1,10 +1,10 @@
 //! Small JPEGs of raw frames, for lists, made by [`crate::photometry::preview`].
 
 use crate::codec::{jpeg, raw};
-use crate::pair::order::Part;
 use crate::pair::{FrameRecord, PairRecord};
 use crate::photometry::preview::{for_the_eye, reduced};
-use crate::pipeline::develop::exposure_ratio;
+use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::scale::SessionScale;
 use crate::raster::Image;
 use crate::session::{Session, store};
 use std::path::PathBuf;
@@ -20,6 +20,9 @@ pub enum ThumbnailError {
     /// The frame is no readable raw.
     #[error(transparent)]
     Raw(#[from] raw::RawError),
+    /// The session's exposure table cannot be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
     /// The encoder refused.
     #[error(transparent)]
     Jpeg(#[from] jpeg::JpegError),
@@ -53,21 +56,24 @@ pub(super) fn of_frame(
     Ok(path)
 }
 
-/// The path of a small JPEG of the light that the flash alone threw: on less off. Named by both originals' digests.
+/// The path of a small JPEG of the light that the flash alone threw: on less off. Named by the originals' digests and
+/// the session's exposure table.
 pub(super) fn of_known_light(session: &Session, pair: &PairRecord) -> Result<PathBuf, ThumbnailError> {
     let folder = session.derived_dir().join("known");
     let frames: Vec<_> = pair.frames().collect();
-    let digests: Vec<&str> = frames.iter().map(|(_, frame)| frame.blake3.as_str()).collect();
+    let scale = SessionScale::load(session)?;
+    let digests = frames.iter().map(|(_, frame)| frame.blake3.clone());
+    let digests: Vec<String> = digests.chain(scale.told()).collect();
     let name = store::digest(digests.join(" ").as_bytes());
     let path = folder.join(format!("{name}.jpg"));
     if path.is_file() {
         return Ok(path);
     }
     let place = session.pair_dir(pair);
-    // What one frame does not tell counts as equal: this is for the eye, and processing will name it.
-    let room = exposure_ratio(&pair.on.settings, &pair.off.settings).unwrap_or(1.0) as f32;
+    // What cannot be scaled counts as equal: this is for the eye, and processing will name it.
+    let room = scale.room_ratio(&pair.on.settings, &pair.off.settings).unwrap_or(1.0) as f32;
     let on = reduced(&raw::read(&place.join(&pair.on.file))?.mosaic, EDGE);
-    let dark: Vec<_> = frames.iter().filter(|(slot, _)| slot.part != Part::On).collect();
+    let dark: Vec<_> = frames.iter().filter(|(slot, _)| !slot.part.is_lit()).collect();
     let share = room / dark.len() as f32;
     let mut known = on;
     for (_, frame) in dark {

@@ -53,6 +53,9 @@ struct Output<'a> {
     inspection: &'a Inspection,
     cfa: [[u8; 2]; 2],
     masked_standard_deviation: Option<[[f32; 2]; 2]>,
+    /// Why the session's own levels do not count; absent if they do, or if none were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    levels_not_used: Option<String>,
     settings: &'a Settings,
 }
 
@@ -67,22 +70,24 @@ pub(super) fn run(arguments: &Inspect) -> CliResult {
     let photo = levels::read(&arguments.file, &measured).map_err(CliError::new)?;
     let inspection =
         inspect::inspect(&photo.mosaic, arguments.roi.map(|roi| roi.0)).map_err(CliError::new)?;
+    let not_used = levels::remark(&measured, &photo.settings);
     if arguments.json {
         let output = Output {
             file: &arguments.file,
             inspection: &inspection,
             cfa: photo.mosaic.cfa.0,
             masked_standard_deviation: photo.masked.map(|m| m.standard_deviation),
+            levels_not_used: not_used,
             settings: &photo.settings,
         };
         println!("{}", serde_json::to_string_pretty(&output).map_err(CliError::new)?);
     } else {
-        print!("{}", human(&arguments.file, &photo, &inspection));
+        print!("{}", human(&arguments.file, &photo, &inspection, not_used.as_deref()));
     }
     Ok(Exit::Success)
 }
 
-fn human(file: &Path, photo: &Photo, found: &Inspection) -> String {
+fn human(file: &Path, photo: &Photo, found: &Inspection, not_used: Option<&str>) -> String {
     let levels = &found.levels;
     let region = found.region;
     let mut text = format!("{}\n{}\n\n", file.display(), settings_line(&photo.settings));
@@ -90,6 +95,9 @@ fn human(file: &Path, photo: &Photo, found: &Inspection) -> String {
     text += &format!("black         {} DN, from {}\n", four(levels.black), source(levels.black_source));
     text +=
         &format!("saturation    {} DN, from {}\n", four(levels.saturation), source(levels.saturation_source));
+    if let Some(why) = not_used {
+        text += &format!("              {why}\n");
+    }
     if let Some(masked) = &photo.masked {
         text += &format!("read noise    {} DN, in the masked border\n", four(masked.standard_deviation));
     }

@@ -1,6 +1,7 @@
 //! Sensor noise: variance = gain * signal + floor, in DN (shot noise and read noise; EMVA 1288).
 
 use crate::photometry::Mosaic;
+use crate::units::Iso;
 use serde::{Deserialize, Serialize};
 
 /// Sites per tile edge when measuring; even, so that every tile holds whole filter cells.
@@ -26,6 +27,14 @@ impl NoiseModel {
     /// Variance in DN^2 of a site at `signal` DN above black.
     pub fn variance(&self, signal: f32) -> f32 {
         self.gain * signal.max(0.0) + self.floor
+    }
+
+    /// The model at another ISO of the same body, for want of a measurement: shot noise in DN goes with the ISO; read
+    /// noise made before the amplifier does too, that made behind it stays. Which is which one ISO does not tell, so that
+    /// the larger counts: variances are too large rather than too small.
+    pub fn at_iso(self, measured: Iso, wanted: Iso) -> Self {
+        let ratio = (wanted.0 / measured.0) as f32;
+        Self { gain: self.gain * ratio, floor: self.floor * ratio.max(1.0).powi(2) }
     }
 
     /// Measures the model on frames of something plain (a card): in every small tile, same-colour neighbours
@@ -162,6 +171,21 @@ mod tests {
         frames.iter().for_each(|frame| gauge.add(frame));
         let gauged = gauge.fit().unwrap();
         assert!((gauged.gain - 0.3).abs() < 0.01 && (gauged.floor - 2.4).abs() < 0.5, "{gauged:?}");
+    }
+
+    #[test]
+    fn at_another_iso_variances_are_never_too_small() {
+        // 2 electrons before the amplifier, 3 DN behind it; 5 electrons per DN at ISO 100.
+        let truth = |iso: f32| {
+            let gain = iso / 500.0;
+            NoiseModel { gain, floor: (2.0 * gain).powi(2) + 9.0 }
+        };
+        for iso in [50.0f32, 100.0, 125.0, 1600.0] {
+            let (scaled, wanted) = (truth(100.0).at_iso(Iso(100.0), Iso(iso.into())), truth(iso));
+            assert!((scaled.gain / wanted.gain - 1.0).abs() < 1e-6);
+            assert!(scaled.floor >= wanted.floor * 0.9999, "{iso}: {scaled:?} for {wanted:?}");
+        }
+        assert_eq!(truth(100.0).at_iso(Iso(100.0), Iso(100.0)), truth(100.0));
     }
 
     #[test]

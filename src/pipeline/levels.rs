@@ -2,12 +2,14 @@
 //!
 //! Everything that judges or processes frames reads them through [`read`] or [`decode`]: the decoder's levels are then
 //! replaced by the session's `calibration/levels.json` (`unlit calibrate levels`), where it is of the same body and ISO,
-//! or by what [`crate::photometry::levels`] has for the body.
+//! or by what [`crate::photometry::levels`] has for the body. A frame of another body than the session's levels is refused;
+//! [`remark`] says why they do not count for a frame of their own body.
 
 use super::calibrate::{self, RecordError};
 use crate::calibration::LevelsFit;
 use crate::codec::raw::{self, Photo, RawError};
-use crate::photometry::levels::{self, MeasuredLevels, Origin};
+use crate::pair::Settings;
+use crate::photometry::levels::{self, MeasuredLevels, Origin, Unmeasured};
 use crate::session::Session;
 use std::path::Path;
 
@@ -22,18 +24,43 @@ pub fn load(session: &Session) -> Result<MeasuredLevels, RecordError> {
 
 /// Reads and decodes a raw file; `measured` are the session's own levels.
 pub fn read(path: &Path, measured: &MeasuredLevels) -> Result<Photo, RawError> {
-    Ok(settled(raw::read(path)?, measured))
+    settled(raw::read(path)?, measured, || path.display().to_string())
 }
 
 /// Decodes a raw file's bytes; `what` names them in errors, `measured` are the session's own levels.
 pub fn decode(bytes: &[u8], what: &str, measured: &MeasuredLevels) -> Result<Photo, RawError> {
-    Ok(settled(raw::decode(bytes, what)?, measured))
+    settled(raw::decode(bytes, what)?, measured, || what.to_owned())
 }
 
-fn settled(mut photo: Photo, measured: &MeasuredLevels) -> Photo {
-    let settings = &photo.settings;
-    let origin =
-        Origin { model: settings.model.as_deref(), serial: settings.serial.as_deref(), iso: settings.iso };
-    levels::settle(&mut photo.mosaic, origin, measured);
-    photo
+/// Why the session's own levels do not count for a frame of these settings, in words for people; `None` if they do, or if
+/// none were measured.
+pub fn remark(measured: &MeasuredLevels, settings: &Settings) -> Option<String> {
+    let why = measured.find(origin(settings)).err()?.to_string();
+    let mut letters = why.chars();
+    Some(letters.next().map_or(why.clone(), |first| format!("{}{}.", first.to_uppercase(), letters.as_str())))
+}
+
+/// Refuses a frame of another body than the one that was measured.
+pub(super) fn same_body(measured: &MeasuredLevels, settings: &Settings, what: &str) -> Result<(), RawError> {
+    match measured.find(origin(settings)) {
+        Err(source @ Unmeasured::OtherBody { .. }) => {
+            Err(RawError::OtherBody { what: what.to_owned(), source })
+        }
+        _ => Ok(()),
+    }
+}
+
+fn origin(settings: &Settings) -> Origin<'_> {
+    Origin { model: settings.model.as_deref(), serial: settings.serial.as_deref(), iso: settings.iso }
+}
+
+fn settled(
+    mut photo: Photo,
+    measured: &MeasuredLevels,
+    what: impl FnOnce() -> String,
+) -> Result<Photo, RawError> {
+    match levels::settle(&mut photo.mosaic, origin(&photo.settings), measured) {
+        Err(source @ Unmeasured::OtherBody { .. }) => Err(RawError::OtherBody { what: what(), source }),
+        _ => Ok(photo),
+    }
 }

@@ -4,7 +4,7 @@
 //! were they chosen frame by frame, bright shots would lose their brightest sites and look steadier than they are. The
 //! room must be dark, and nothing may move.
 
-use super::calibrate::{Series, SeriesError};
+use super::calibrate::{Series, SeriesError, noise};
 use super::flash::{FlashError, energy_beside, label};
 use crate::calibration::{Record, Steadiness, SteadyError, SteadyShot, steadiness};
 use crate::export::chart::{self, Chart};
@@ -98,10 +98,13 @@ pub fn calibrate(
         let known = match &mut first {
             Some(known) => known,
             empty => {
+                let own = noise::of(session, &photo.settings).map_err(SeriesError::from)?;
+                own.remark.into_iter().for_each(|remark| series.remark(remark));
                 let mut gauge = NoiseGauge::default();
                 gauge.add(frame);
-                let (noise, sites) = (gauge.fit()?, safe_sites(frame));
-                empty.insert(First { settings: photo.settings.clone(), size, noise, sites })
+                let measured_noise = own.model.map_or_else(|| gauge.fit(), Ok)?;
+                let sites = safe_sites(frame);
+                empty.insert(First { settings: photo.settings.clone(), size, noise: measured_noise, sites })
             }
         };
         let exposure = |s: &Settings| (s.shutter, s.aperture, s.iso);

@@ -58,11 +58,72 @@ fn black_and_saturation_of_the_bird_baths_camera_are_exact_and_what_never_clips_
         }
     }
     let said = record["verdict"]["sentences"].to_string();
-    assert!(said.contains("red and blue never clips"), "{said}");
+    assert!(said.contains("red and blue never clip "), "{said}");
     assert!(std::path::Path::new(&session).join("calibration/levels.svg").is_file());
     // Frames are read with it.
     let told =
         json(&["inspect".into(), file("bad/good_on.dng"), "--session".into(), session, "--json".into()]);
     assert_eq!(told["levels"]["black_source"], "measured");
     assert_eq!(told["levels"]["saturation_source"], "file_tag");
+}
+
+/// The same file as a body of another serial number would write it.
+fn of_another_body(path: &str) -> Vec<u8> {
+    let mut bytes = std::fs::read(file(path)).unwrap();
+    let (own, other) = (b"SIM0001", b"SIM0002");
+    let places: Vec<usize> =
+        bytes.windows(own.len()).enumerate().filter(|(_, w)| w == own).map(|(at, _)| at).collect();
+    assert!(!places.is_empty());
+    places.into_iter().for_each(|at| bytes[at..at + other.len()].copy_from_slice(other));
+    bytes
+}
+
+/// What the program answers: exit code, stdout, stderr.
+fn answer(arguments: &[&str]) -> (Option<i32>, String, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code(), text(&output.stdout), text(&output.stderr))
+}
+
+#[test]
+fn levels_of_another_body_are_refused_and_those_of_another_iso_are_said_not_to_count() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = session(folder.path());
+    let (darks, lit) = ([0, 1].map(|i| file(&format!("calibration/dark/{i}.dng"))), file("bad/good_on.dng"));
+    json(&[
+        "calibrate".into(),
+        "levels".into(),
+        session.clone(),
+        "--dark".into(),
+        darks[0].clone(),
+        darks[1].clone(),
+    ]);
+    // Another ISO of the same body.
+    let bright = file("calibration/exposure/iso_12.dng");
+    let told = json(&["inspect", &bright, "--session", &session, "--json"].map(String::from));
+    let why = told["levels_not_used"].as_str().unwrap();
+    assert!(why.contains("not at ISO 1600"), "{why}");
+    assert_ne!(told["levels"]["black_source"], "measured");
+    let (_, said, _) = answer(&["inspect", &bright, "--session", &session]);
+    assert!(said.contains("not at ISO 1600"), "{said}");
+    let told = json(&["inspect", &lit, "--session", &session, "--json"].map(String::from));
+    assert!(told.get("levels_not_used").is_none() && told["levels"]["black_source"] == "measured", "{told}");
+    // Another body: inspect, calibrations and the checks of pairs refuse it.
+    let other = folder.path().join("other.dng").display().to_string();
+    std::fs::write(&other, of_another_body("bad/good_on.dng")).unwrap();
+    let (code, _, said) = answer(&["inspect", &other, "--session", &session]);
+    assert!(
+        code == Some(1) && said.contains("(serial SIM0001)") && said.contains("(serial SIM0002)"),
+        "{said}"
+    );
+    let (code, _, said) = answer(&["calibrate", "flat", &session, &other]);
+    assert!(code == Some(1) && said.contains("(serial SIM0002)"), "{said}");
+    for side in ["off", "on"] {
+        std::fs::create_dir(folder.path().join(side)).unwrap();
+        let bytes = of_another_body(&format!("bad/good_{side}.dng"));
+        std::fs::write(folder.path().join(side).join("0001.dng"), bytes).unwrap();
+    }
+    let [off, on] = ["off", "on"].map(|side| folder.path().join(side).display().to_string());
+    let (_, said, complained) = answer(&["import", "pairs", &session, "--off", &off, "--on", &on]);
+    assert!(said.contains("rejected") && said.contains("(serial SIM0002)"), "{said}{complained}");
 }

@@ -32,7 +32,12 @@ fn record(session: &str) -> Value {
 
 fn former(session: &str) -> Vec<PathBuf> {
     let folder = Path::new(session).join("calibration/former");
-    std::fs::read_dir(folder).map_or_else(|_| vec![], |list| list.map(|e| e.unwrap().path()).collect())
+    let files = std::fs::read_dir(folder)
+        .map_or_else(|_| vec![], |list| list.map(|e| e.unwrap().path()).collect::<Vec<_>>());
+    let (records, figures): (Vec<_>, Vec<_>) =
+        files.into_iter().partition(|p| p.extension().is_some_and(|e| e == "json"));
+    assert_eq!(records.len(), figures.len(), "each with its figure: {figures:?}");
+    records
 }
 
 #[test]
@@ -58,6 +63,13 @@ fn a_calibration_comes_with_its_shots_and_replaces_none_without_keeping_it() {
     // It is a calibration as any other: a new measurement takes its place.
     levels(&own, 1..4);
     assert_eq!(former(&own).len(), 2);
+    // What cannot be read any more is no less kept, and not called damaged.
+    let path = Path::new(&own).join("calibration/levels.json");
+    std::fs::write(&path, "{\"black\": 2048}").unwrap();
+    let (well, _, complained) = unlit(&["calibrate", "take", &donor, "--from", &own]);
+    assert!(!well && complained.contains("an earlier version"), "{complained}");
+    levels(&own, 0..4);
+    assert_eq!(former(&own).len(), 3);
 }
 
 #[test]

@@ -6,6 +6,7 @@ use std::process::{Command, Output};
 use unlit::codec::raw;
 use unlit::pair::{Expected, Judgement, Limits, Reason, ReasonCode, Stop, Verdict};
 use unlit::pipeline::pairs::{self, ImportError};
+use unlit::pipeline::scale::SessionScale;
 use unlit::progress::Progress;
 use unlit::session::{Session, SessionError};
 
@@ -16,7 +17,8 @@ fn birdbath(relative: &str) -> PathBuf {
 fn judged_against(earlier: &[Stop], off: &str, on: &str) -> Judgement {
     let earlier = earlier.to_vec();
     let expected = Expected { earlier: Some(&earlier), ..Expected::default() };
-    pairs::judge(&raw::read(&birdbath(off)), &raw::read(&birdbath(on)), &expected, &Limits::default())
+    let (off, on) = (raw::read(&birdbath(off)), raw::read(&birdbath(on)));
+    pairs::judge(&off, &on, &expected, &SessionScale::default(), &Limits::default())
 }
 
 fn judged(off: &str, on: &str) -> Vec<Reason> {
@@ -326,7 +328,7 @@ fn a_session_measures_where_its_sensor_clips_and_judges_by_it() {
     }
     // The nearest card is blown in green alone: the others are told as not reached.
     let out = unlit(&["calibrate", "levels", &session, "--blown", &blown], home.path());
-    assert!(text(&out.stdout).contains("red and blue never clips"), "{}", text(&out.stdout));
+    assert!(text(&out.stdout).contains("red and blue never clip "), "{}", text(&out.stdout));
     let blown = home.path().join("blown.dng").display().to_string();
     std::fs::write(&blown, two_stops_brighter(&birdbath("calibration/white/d0500_1.dng"))).unwrap();
     let out = unlit(&["calibrate", "levels", &session, "--blown", &blown], home.path());

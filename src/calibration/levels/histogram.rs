@@ -1,5 +1,7 @@
 //! Counts of whole values, and a centre and spread of them that outliers do not move.
 
+use std::ops::Range;
+
 /// Sites that lie further from the median than this many standard deviations do not count.
 const OUTLIER: f64 = 5.0;
 
@@ -9,6 +11,8 @@ pub(super) struct Histogram {
     /// Value of the first count.
     base: i32,
     counts: Vec<u64>,
+    /// First and one past the last count that is not 0: a sensor's values fill a small part of what they could be.
+    filled: Range<usize>,
 }
 
 /// Robust figures of a [`Histogram`].
@@ -23,33 +27,39 @@ pub(super) struct Centre {
 impl Histogram {
     /// Empty, for values from `base` to `base + values - 1`.
     pub(super) fn new(base: i32, values: usize) -> Self {
-        Self { base, counts: vec![0; values] }
+        Self { base, counts: vec![0; values], filled: values..0 }
     }
 
     /// Counts a value; one outside the range is not counted.
     pub(super) fn add(&mut self, value: i32) {
         let at = usize::try_from(value - self.base).ok();
-        if let Some(count) = at.and_then(|at| self.counts.get_mut(at)) {
-            *count += 1;
+        if let Some(at) = at.filter(|at| *at < self.counts.len()) {
+            self.counts[at] += 1;
+            self.filled = self.filled.start.min(at)..self.filled.end.max(at + 1);
         }
     }
 
     /// Adds the counts of another of the same range.
     pub(super) fn merge(&mut self, other: &Histogram) {
-        for (own, other) in self.counts.iter_mut().zip(&other.counts) {
-            *own += other;
+        for at in other.filled.clone() {
+            self.counts[at] += other.counts[at];
         }
+        self.filled = self.filled.start.min(other.filled.start)..self.filled.end.max(other.filled.end);
     }
 
     /// Values with their counts, those that occur.
     pub(super) fn occurring(&self) -> impl Iterator<Item = (f64, u64)> + '_ {
         let base = f64::from(self.base);
-        self.counts.iter().enumerate().filter(|(_, n)| **n > 0).map(move |(i, n)| (base + i as f64, *n))
+        self.filled
+            .clone()
+            .map(|i| (i, self.counts[i]))
+            .filter(|(_, n)| *n > 0)
+            .map(move |(i, n)| (base + i as f64, n))
     }
 
     /// The value below which a share of all lies, values taken as spread evenly over one unit.
     fn quantile(&self, share: f64) -> Option<f64> {
-        let wanted = share * self.counts.iter().sum::<u64>() as f64;
+        let wanted = share * self.occurring().map(|(_, n)| n).sum::<u64>() as f64;
         let mut below = 0.0;
         for (value, n) in self.occurring() {
             let n = n as f64;

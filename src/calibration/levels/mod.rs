@@ -1,18 +1,21 @@
 //! Sensor levels: black, read noise and saturation of every filter position, an ISO at a time.
 //!
 //! Black is the mean of dark frames (lens cap) of the same ISO, else of the masked border. Sites further than five
-//! standard deviations from the position's median do not count, so that hot sites do not lift it; its standard error is
-//! the larger of two: sites scatter (`sd / sqrt(n)`), and whole frames do (spread of their means over the square root of
-//! their number). Read noise comes from pairs of dark frames: the difference of two frames has no fixed pattern, and
+//! standard deviations from the position's median do not count, so that hot sites do not lift it. Its 95 % interval holds
+//! that sites scatter (`sd / sqrt(n)`) and, by Student's quantile, what whole frames scatter beyond that. Read noise comes from pairs of dark frames: the difference of two frames has no fixed pattern, and
 //! twice the variance of one (EMVA 1288 release 4.0, section 6.6). Values are whole DN, which adds 1/12 DN^2 (the
-//! variance of rounding, uniform over one DN); it is taken off. A site that is more than eight standard deviations above
+//! variance of rounding, uniform over one DN); it is taken off. Below 0.24 DN^2 a variance is mostly rounding, and only a
+//! bound of the read noise is told, as EMVA has it. A site that is more than eight standard deviations above
 //! its position's median in every dark frame is hot.
 //!
 //! Saturation is where clipped sites pile up in a blown frame ([`crate::photometry::saturation`]). A colour that is not
 //! blown in any frame is told as not reached.
 
+mod dark;
 mod histogram;
 mod sums;
+#[cfg(test)]
+mod tests;
 
 pub use sums::{IsoSums, UnfitFrame};
 
@@ -77,18 +80,27 @@ pub struct SiteLevels {
     /// Standard error of `black_dn`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub black_error_dn: Option<f64>,
+    /// Its 95 % interval.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub black_interval_dn: Option<[f64; 2]>,
     /// Mean of the masked border, DN; absent if the files have none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub masked_black_dn: Option<f64>,
     /// Its standard error.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub masked_black_error_dn: Option<f64>,
-    /// Read noise of one frame, DN, rounding taken off; absent without two dark frames.
+    /// Read noise of one frame, DN, rounding taken off; absent without two dark frames, and where rounding hides it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub read_noise_dn: Option<f64>,
     /// Its standard error.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub read_noise_error_dn: Option<f64>,
+    /// Its 95 % interval.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub read_noise_interval_dn: Option<[f64; 2]>,
+    /// Upper bound of the read noise, DN, where rounding hides it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub read_noise_below_dn: Option<f64>,
     /// DN at which clipped sites pile up; absent if no frame reached it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub saturation_dn: Option<f64>,
@@ -147,8 +159,12 @@ impl IsoLevels {
             none if none.is_empty() => "black was not measured".to_owned(),
             values => format!("black is {} DN (from {source})", range(values, 2)),
         };
+        let below = of(|site| site.read_noise_below_dn);
         let noise = match of(|site| site.read_noise_dn) {
-            none if none.is_empty() => String::new(),
+            none if none.is_empty() && below.is_empty() => String::new(),
+            none if none.is_empty() => {
+                format!(", read noise below {} DN (rounding to whole DN hides it)", range(below, 2))
+            }
             values => format!(", read noise {} DN", range(values, 2)),
         };
         let saturation = match of(|site| site.saturation_dn) {
@@ -182,9 +198,10 @@ impl IsoLevels {
         }
         (!colours.is_empty()).then(|| {
             format!(
-                "At {} {} never clips in the blown frames: not reached, the next best source stays; shoot brighter, or with light of another colour.",
+                "At {} {} {} in the blown frames: not reached, the next best source stays; shoot brighter, or with light of another colour.",
                 self.iso,
-                colours.join(" and ")
+                colours.join(" and "),
+                if colours.len() == 1 { "never clips" } else { "never clip" }
             )
         })
     }

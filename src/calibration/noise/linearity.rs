@@ -2,25 +2,39 @@
 //!
 //! A colour's line goes through black: that is what subtracting and scaling frames takes for granted (EMVA 1288 release
 //! 4.0, section 6.7, fits an offset too). Its slope is the mean of signal over light of the levels from 5 to 70 % of the
-//! range, each with the same relative weight, as EMVA has it. The deviation of a level is signal / (slope * light) - 1,
-//! and the linearity error the mean of the deviations' absolute values over 5 to 95 % of the range, up to the knee. The
-//! knee is the lowest signal that deviates by more than one percent (and more than two standard errors), all brighter
-//! ones doing so too.
+//! range and below the knee, each with the same relative weight, as EMVA has it. The deviation of a level is
+//! signal / (slope * light) - 1, and the linearity error the mean of the deviations' absolute values over 5 to 95 % of the
+//! range, up to the knee.
+//!
+//! A colour's knee is where it leaves the line for good: its brightest levels, all from there on, deviate by more than one
+//! percent (and more than three standard errors). Where between two levels it passes one percent is interpolated. Since
+//! bent levels would tilt the line, the first slope is the median of signal over light, and slope and knee are sought in
+//! turn until they stand.
 
-use super::tiles::Signal;
 use super::{COLOURS, FIT_TO};
 use serde::{Deserialize, Serialize};
 
 /// Share of the range from which levels count.
-const FROM: f64 = 0.05;
+pub(super) const FROM: f64 = 0.05;
 /// Share of the range up to which levels count for the linearity error.
 const TO: f64 = 0.95;
 /// Levels that a colour needs between [`FROM`] and [`FIT_TO`].
 const FEWEST: usize = 3;
 /// Deviation from which the knee is reached.
 const KNEE: f64 = 0.01;
-/// Part of a step by which a measured step may miss a whole number of steps.
-const ODD: f64 = 0.3;
+/// Standard errors that a bent level must deviate by.
+const SURE: f64 = 3.0;
+/// Rounds of seeking slope and knee in turn.
+const ROUNDS: usize = 10;
+
+/// Mean of a colour at a level of light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Reading {
+    /// DN above black.
+    pub(super) mean: f64,
+    /// Standard error, DN.
+    pub(super) error: f64,
+}
 
 /// Where the ratio of light between levels is known from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -43,7 +57,8 @@ pub struct Linearity {
     pub largest_deviation: f64,
     /// Least and largest signal that counts, DN above black.
     pub range_dn: [f64; 2],
-    /// Signal from which the response leaves the line by more than 1 %, DN above black; absent if no level does.
+    /// Signal from which the response of a colour leaves the line by more than 1 %, DN above black, the lowest of the
+    /// colours; absent if none does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub knee_dn: Option<f64>,
     /// Largest unclipped signal that was held against the line, DN above black.
@@ -65,7 +80,7 @@ pub struct LinearityStep {
     pub signal_dn: f64,
     /// Signal over what the line says, less 1.
     pub deviation: f64,
-    /// Standard error of `deviation`: noise, black, and how far the level's two frames part.
+    /// Standard error of `deviation`: noise, black, and how far two frames of one light part.
     pub deviation_error: f64,
 }
 
@@ -103,144 +118,212 @@ pub enum NoLinearity {
     },
     /// Too few.
     #[error(
-        "no colour has {FEWEST} levels between 5 and 70 % of the range; shoot more levels of light, up to clipping"
+        "no colour has {FEWEST} levels on a straight line between 5 and 70 % of the range; shoot more levels of light, up to clipping"
     )]
     TooFew,
 }
 
-/// Light of levels that rise by `stops` from one to the next, relative to the first, and how many levels are missing in
-/// between; `None` for a level in which every colour clips. `signals` ascend.
-pub(super) fn ladder(
-    signals: &[[Option<Signal>; 3]],
-    stops: f64,
-) -> Result<(Vec<Option<f64>>, usize), NoLinearity> {
-    if !(stops > 0.0 && stops <= 8.0) {
-        return Err(NoLinearity::Stops(stops));
-    }
-    let (mut lights, mut missing, mut at) = (vec![], 0, 0usize);
-    for (index, now) in signals.iter().enumerate() {
-        if index > 0 {
-            let before = &signals[index - 1];
-            let both = (0..3).filter_map(|c| Some((before[c]?.mean, now[c]?.mean)));
-            let brightest = both.filter(|(a, b)| *a > 0.0 && *b > 0.0).max_by(|a, b| a.1.total_cmp(&b.1));
-            let Some((from, to)) = brightest else {
-                lights.resize(signals.len(), None);
-                return Ok((lights, missing));
-            };
-            let measured = (to / from).log2();
-            let steps = (measured / stops).round();
-            if steps < 1.0 || (measured / stops - steps).abs() > ODD {
-                return Err(NoLinearity::OddStep { from, to, measured, stops });
-            }
-            missing += steps as usize - 1;
-            at += steps as usize;
-        }
-        lights.push(Some((stops * at as f64).exp2()));
-    }
-    Ok((lights, missing))
+/// One colour against its line.
+struct Response {
+    /// Deviation and its standard error of every level.
+    deviations: Vec<(f64, f64)>,
+    /// Levels before the knee.
+    straight: usize,
+    /// Signal at the knee, DN.
+    knee: Option<f64>,
 }
 
-/// Holds signals against light. `range` is saturation less black of each colour, DN; `black_error` that of black.
+/// Line and knee of one colour; `own` has light and reading of its levels, ascending. `None` if fewer than [`FEWEST`]
+/// levels stand on a line.
+fn response(own: &[(f64, Reading)], range: f64, black_error: f64) -> Option<Response> {
+    let error = |s: &Reading| s.error.hypot(black_error) / s.mean;
+    let inside = |until: usize| -> Vec<&(f64, Reading)> {
+        own[..until].iter().filter(|(_, s)| (FROM..=FIT_TO).contains(&(s.mean / range))).collect()
+    };
+    let mut ratios: Vec<f64> = inside(own.len()).iter().map(|(light, s)| s.mean / light).collect();
+    if ratios.len() < FEWEST {
+        return None;
+    }
+    ratios.sort_by(f64::total_cmp);
+    let (mut slope, mut of_slope) = (ratios[(ratios.len() - 1) / 2], 0.0);
+    let mut straight = own.len();
+    let mut deviations = vec![];
+    for round in 0..ROUNDS {
+        let deviation =
+            |(light, s): &(f64, Reading)| (s.mean / (slope * light) - 1.0, error(s).hypot(of_slope));
+        deviations = own.iter().map(deviation).collect();
+        let bent = |(deviation, error): &(f64, f64)| deviation.abs() > KNEE.max(SURE * error);
+        let found = deviations.iter().rposition(|d| !bent(d)).map_or(0, |last| last + 1);
+        if round > 0 && found == straight {
+            break;
+        }
+        straight = found;
+        let levels = inside(straight);
+        if levels.len() < FEWEST {
+            return None;
+        }
+        let n = levels.len() as f64;
+        slope = levels.iter().map(|(light, s)| s.mean / light).sum::<f64>() / n;
+        of_slope = levels.iter().map(|(_, s)| error(s).powi(2)).sum::<f64>().sqrt() / n;
+    }
+    let knee = own.get(straight).map(|(_, bent)| {
+        let ((before, _), (beyond, _)) = (deviations[straight - 1], deviations[straight]);
+        let (before, beyond) = (before * beyond.signum(), beyond.abs());
+        let last = own[straight - 1].1.mean;
+        last + (bent.mean - last) * ((KNEE - before) / (beyond - before)).clamp(0.0, 1.0)
+    });
+    Some(Response { deviations, straight, knee })
+}
+
+/// Holds readings against light; levels ascend. `range` is saturation less black of each colour, DN; `black_error` that of
+/// black.
 pub(super) fn fit(
-    levels: &[(f64, [Option<Signal>; 3])],
+    levels: &[(f64, [Option<Reading>; 3])],
     range: [f64; 3],
     black_error: f64,
     light_source: LightSource,
     missing_levels: usize,
 ) -> Result<Linearity, NoLinearity> {
     let darkest = levels.iter().map(|level| level.0).fold(f64::INFINITY, f64::min);
-    // Step and its share of the colour's range.
-    let mut steps: Vec<(LinearityStep, f64)> = vec![];
+    let (mut steps, mut counting, mut knee_dn) = (vec![], vec![], None::<f64>);
     for c in 0..3 {
-        let own: Vec<(f64, Signal)> =
-            levels.iter().filter_map(|(light, signal)| Some((light / darkest, signal[c]?))).collect();
-        let inside: Vec<&(f64, Signal)> =
-            own.iter().filter(|(_, s)| (FROM..=FIT_TO).contains(&(s.mean / range[c]))).collect();
-        if inside.len() < FEWEST {
+        let own = levels.iter().filter_map(|(light, readings)| Some((light / darkest, readings[c]?)));
+        let own: Vec<(f64, Reading)> = own.filter(|(_, s)| s.mean > 0.0).collect();
+        let Some(Response { deviations, straight, knee }) = response(&own, range[c], black_error) else {
             continue;
-        }
-        let n = inside.len() as f64;
-        let slope = inside.iter().map(|(light, s)| s.mean / light).sum::<f64>() / n;
-        let error = |s: &Signal| s.error.hypot(black_error) / s.mean;
-        let of_slope = inside.iter().map(|(_, s)| error(s).powi(2)).sum::<f64>().sqrt() / n;
-        for (light, s) in own.iter().filter(|(_, s)| s.mean > 0.0) {
-            let step = LinearityStep {
-                light: *light,
-                colour: COLOURS[c].to_owned(),
-                signal_dn: s.mean,
-                deviation: s.mean / (slope * light) - 1.0,
-                deviation_error: error(s).hypot(of_slope),
-            };
-            steps.push((step, s.mean / range[c]));
+        };
+        knee_dn = match (knee_dn, knee) {
+            (Some(lowest), Some(own)) => Some(lowest.min(own)),
+            (either, other) => either.or(other),
+        };
+        for (at, ((light, s), (deviation, deviation_error))) in own.iter().zip(deviations).enumerate() {
+            let colour = COLOURS[c].to_owned();
+            let step = LinearityStep { light: *light, colour, signal_dn: s.mean, deviation, deviation_error };
+            if at < straight && (FROM..=TO).contains(&(s.mean / range[c])) {
+                counting.push((s.mean, deviation));
+            }
+            steps.push(step);
         }
     }
-    steps.sort_by(|a, b| a.0.signal_dn.total_cmp(&b.0.signal_dn));
-    let bent = |step: &LinearityStep| step.deviation.abs() > KNEE.max(2.0 * step.deviation_error);
-    let straight = steps.iter().rposition(|(step, _)| !bent(step)).map_or(0, |last| last + 1);
-    let knee_dn = steps.get(straight).map(|(step, _)| step.signal_dn);
-    let counting: Vec<&LinearityStep> = steps[..straight]
-        .iter()
-        .filter(|(_, share)| (FROM..=TO).contains(share))
-        .map(|(step, _)| step)
-        .collect();
+    steps.sort_by(|a, b| a.signal_dn.total_cmp(&b.signal_dn));
+    counting.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (Some(first), Some(last), Some(top)) = (counting.first(), counting.last(), steps.last()) else {
         return Err(NoLinearity::TooFew);
     };
-    let largest =
-        counting.iter().map(|s| s.deviation).fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
+    let larger = |a: f64, b: f64| if b.abs() > a.abs() { b } else { a };
     Ok(Linearity {
         light_source,
-        linearity_error: counting.iter().map(|s| s.deviation.abs()).sum::<f64>() / counting.len() as f64,
-        largest_deviation: largest,
-        range_dn: [first.signal_dn, last.signal_dn],
+        linearity_error: counting.iter().map(|c| c.1.abs()).sum::<f64>() / counting.len() as f64,
+        largest_deviation: counting.iter().map(|c| c.1).fold(0.0, larger),
+        range_dn: [first.0, last.0],
         knee_dn,
-        checked_to_dn: top.0.signal_dn,
+        checked_to_dn: top.signal_dn,
         missing_levels,
-        steps: steps.into_iter().map(|(step, _)| step).collect(),
+        steps,
     })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
 
     const RANGE: [f64; 3] = [13_000.0; 3];
 
-    fn level(light: f64, response: impl Fn(f64) -> f64) -> [Option<Signal>; 3] {
+    fn level(light: f64, response: impl Fn(f64) -> f64) -> [Option<Reading>; 3] {
         [0.5, 1.0, 0.7].map(|gain| {
             let mean = response(gain * light);
-            (mean < RANGE[0]).then_some(Signal { mean, error: 1e-4 * mean })
+            (mean < RANGE[0]).then_some(Reading { mean, error: 1e-4 * mean })
         })
     }
 
     #[test]
-    fn a_straight_sensor_has_no_error_and_a_missing_level_is_told() {
-        let lights: Vec<f64> =
-            (0..14).filter(|k| *k != 6).map(|k| 20.0 * (0.75 * f64::from(k)).exp2()).collect();
-        let signals: Vec<_> = lights.iter().map(|&light| level(light, |x| x)).collect();
-        let (found, missing) = ladder(&signals, 0.75).unwrap();
-        assert_eq!(missing, 1);
-        let levels: Vec<_> = found.iter().zip(&signals).map(|(light, s)| (light.unwrap(), *s)).collect();
-        let fit = fit(&levels, RANGE, 0.0, LightSource::Stops, missing).unwrap();
+    fn a_straight_sensor_has_no_error() {
+        let lights = (0..14).map(|k| 20.0 * (0.75 * f64::from(k)).exp2());
+        let levels: Vec<_> = lights.map(|light| (light, level(light, |x| x))).collect();
+        let fit = fit(&levels, RANGE, 0.0, LightSource::Stops, 1).unwrap();
         assert!(fit.linearity_error < 1e-12 && fit.knee_dn.is_none(), "{fit:?}");
-        assert!(matches!(ladder(&signals, 1.1), Err(NoLinearity::OddStep { .. })));
-        assert!(matches!(ladder(&signals, 0.0), Err(NoLinearity::Stops(_))));
+        assert_eq!(fit.missing_levels, 1);
     }
 
     #[test]
     fn the_knee_of_a_bent_sensor_is_found_and_the_error_counts_below_it() {
-        // Beyond 9000 DN half the further light is lost.
-        let bend = |x: f64| if x < 9000.0 { x } else { 9000.0 + 0.5 * (x - 9000.0) };
+        // Beyond 5000 DN half the further light is lost: one percent at 0.5 * 5000 / 0.49 of light.
+        let bend = |x: f64| if x < 5000.0 { x } else { 5000.0 + 0.5 * (x - 5000.0) };
         let levels: Vec<_> = (0..60)
             .map(|k| 100.0 * (f64::from(k) / 6.0).exp2())
-            .filter(|light| *light < 24_000.0)
+            .filter(|light| *light < 22_000.0)
             .map(|light| (light, level(light, bend)))
             .collect();
         let fit = fit(&levels, RANGE, 0.0, LightSource::Shutter, 0).unwrap();
         let knee = fit.knee_dn.unwrap();
-        assert!((9000.0..10_500.0).contains(&knee), "{knee}");
-        assert!(fit.linearity_error < 0.003, "{}", fit.linearity_error);
+        assert!((4900.0..5300.0).contains(&knee), "{knee}");
+        assert!(fit.linearity_error < 0.002, "{}", fit.linearity_error);
         assert!(fit.checked_to_dn > 12_000.0);
+    }
+
+    #[test]
+    fn one_colours_knee_is_not_hidden_by_another_that_stays_straight() {
+        let levels: Vec<_> = (0..40)
+            .map(|k| 100.0 * (f64::from(k) / 4.0).exp2())
+            .map(|light| {
+                let mut readings = level(light, |x| x);
+                readings[1] = readings[1].map(|s| Reading { mean: s.mean.min(8000.0), ..s });
+                (light, readings)
+            })
+            .collect();
+        let knee = fit(&levels, RANGE, 0.0, LightSource::Shutter, 0).unwrap().knee_dn.unwrap();
+        assert!((6500.0..8100.0).contains(&knee), "{knee}");
+    }
+
+    #[test]
+    fn knees_of_a_thousand_random_sensors_are_found_and_straight_ones_have_none() {
+        let mut random = ChaCha8Rng::seed_from_u64(23);
+        let (mut invented, mut missed, mut off, mut inside, mut all) = (0, 0, 0, 0.0, 0.0);
+        for number in 0..1000 {
+            let step: f64 = 0.2 + 0.5 * random.random::<f64>();
+            // Levels scatter by up to 0.5 % of themselves.
+            let part = 5e-3 * random.random::<f64>().powi(2);
+            let (from, rest) = (4000.0 + 5000.0 * random.random::<f64>(), 0.2 + 0.5 * random.random::<f64>());
+            let bent = number % 2 == 0;
+            let bend = |x: f64| if bent && x > from { from + rest * (x - from) } else { x };
+            let mut levels = vec![];
+            for k in 0..60 {
+                let light = 60.0 * (step * f64::from(k)).exp2();
+                // What a lamp does to one colour it does to all.
+                let lamp: f64 = StandardNormal.sample(&mut random);
+                let readings = level(light * (1.0 + part * lamp), bend);
+                let readings = readings.map(|r| r.map(|r| Reading { error: part.max(1e-4) * r.mean, ..r }));
+                if readings[1].is_none() {
+                    break;
+                }
+                levels.push((light, readings));
+            }
+            let fit = fit(&levels, RANGE, 0.0, LightSource::Stops, 0).unwrap();
+            // One percent below the line.
+            let wanted = 0.99 * (1.0 - rest) * from / (0.99 - rest);
+            match (bent && wanted < 0.6 * fit.checked_to_dn, fit.knee_dn) {
+                (true, None) => missed += 1,
+                (true, Some(found)) => {
+                    let reach = step.exp2() * (1.0 + 6.0 * part);
+                    off += usize::from(!(wanted / reach..wanted * reach).contains(&found));
+                }
+                (false, Some(_)) if !bent => invented += 1,
+                _ => {}
+            }
+            if !bent {
+                for s in fit.steps.iter().filter(|s| s.signal_dn > FROM * RANGE[0]) {
+                    all += 1.0;
+                    inside += f64::from(u8::from(s.deviation.abs() < 1.96 * s.deviation_error));
+                }
+            }
+        }
+        let covered: f64 = inside / all;
+        println!("invented {invented}, missed {missed}, off {off}, deviations {covered} of {all}");
+        assert!(invented <= 10 && missed <= 5 && off <= 25, "{invented} {missed} {off}");
+        assert!((0.90..=0.98).contains(&covered), "{covered}");
     }
 
     #[test]

@@ -29,8 +29,10 @@ pub struct Tile {
 pub struct Signal {
     /// Mean of both frames, DN above black.
     pub mean: f64,
-    /// Standard error, DN: noise and how far the two frames part.
-    pub error: f64,
+    /// Standard error by the sites' noise alone, DN.
+    pub noise: f64,
+    /// Half of how far the two frames part, DN.
+    pub apart: f64,
 }
 
 /// What two frames of the same light amount to.
@@ -159,7 +161,7 @@ fn signals(first: &Mosaic, second: &Mosaic, black: [[f64; 2]; 2], tiles: &[Tile]
         }
         let variance = own().map(|tile| tile.variance).sum::<f64>() / count as f64;
         let noise = (variance / (2.0 * sites[c].max(1.0))).sqrt();
-        Some(Signal { mean: 0.5 * (a[c] + b[c]), error: noise.hypot(0.5 * (a[c] - b[c])) })
+        Some(Signal { mean: 0.5 * (a[c] + b[c]), noise, apart: 0.5 * (a[c] - b[c]) })
     })
 }
 
@@ -204,10 +206,13 @@ mod tests {
         let n = pair.tiles.len() as f64;
         let ratio = pair.tiles.iter().map(|t| t.variance / expected(t)).sum::<f64>() / n;
         assert!((ratio - 1.0).abs() < 0.025, "variance is {ratio} of what it should be");
-        let pattern = pair.tiles.iter().map(|t| t.shared / t.signal.powi(2)).sum::<f64>() / n;
+        // The median: of the tiles with the dust, pattern is more.
+        let mut patterns: Vec<f64> = pair.tiles.iter().map(|t| t.shared / t.signal.powi(2)).collect();
+        patterns.sort_by(f64::total_cmp);
+        let pattern = patterns[patterns.len() / 2];
         assert!((pattern.sqrt() / 0.02 - 1.0).abs() < 0.1, "pattern of {}", pattern.sqrt());
         let green = pair.signal[1].unwrap();
-        assert!(green.mean > 3000.0 && green.error > 10.0, "{green:?}");
+        assert!(green.mean > 3000.0 && green.noise < 1.0 && green.apart < -10.0, "{green:?}");
     }
 
     #[test]

@@ -5,10 +5,10 @@
 //! until it stands; points further than six standard deviations from the line (something moved, a lamp flickered) drop
 //! out and are counted.
 
+use crate::calibration::linear;
+
 /// Standard deviations from the line beyond which a point is left out.
 const REJECT: f64 = 6.0;
-/// Half width of a 95 % interval in standard deviations.
-pub(super) const Z95: f64 = 1.959_964;
 /// Least variance that the line is given, DN^2: half of what rounding alone makes.
 const LEAST: f64 = 1.0 / 24.0;
 /// Points of about the same signal from whose median the first line starts.
@@ -104,16 +104,13 @@ fn solve(points: &[Point], model: &[f64]) -> Option<Line> {
         sy += w * p.variance;
         sxy += w * p.signal * p.variance;
     }
-    let determinant = s * sxx - sx * sx;
-    if determinant.is_nan() || determinant <= 1e-9 * s * sxx {
-        return None;
-    }
+    let (solution, covariance) = linear::solve(&[vec![sxx, sx], vec![sx, s]], &[sxy, sy])?;
     Some(Line {
-        gain: (s * sxy - sx * sy) / determinant,
-        floor: (sxx * sy - sx * sxy) / determinant,
-        of_gain: s / determinant,
-        of_floor: sxx / determinant,
-        covariance: -sx / determinant,
+        gain: solution[0],
+        floor: solution[1],
+        of_gain: covariance[0][0],
+        of_floor: covariance[1][1],
+        covariance: covariance[0][1],
         chi_squared: 0.0,
         rejected: 0.0,
     })

@@ -4,6 +4,7 @@ mod colour;
 mod exposure;
 mod flash;
 mod flat;
+mod guide;
 mod levels;
 mod noise;
 mod report;
@@ -18,11 +19,14 @@ use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pair::Limits;
 use crate::pipeline::steadiness::SteadyFile;
 use flash::FlashArgs;
+pub(super) use flash::PAPER;
 use std::path::PathBuf;
 
 /// What to calibrate.
 #[derive(clap::Subcommand)]
 pub(super) enum Calibrate {
+    /// What to shoot for a calibration, step by step.
+    Guide(guide::GuideArgs),
     /// The flash, from shots of a white card that fills the frame and faces the camera.
     ///
     /// Put a flat, matt white card before the camera so that it fills the frame, in a dark room (or with an unlit frame
@@ -84,6 +88,7 @@ pub(super) struct RepeatabilityArgs {
 
 pub(super) fn run(what: &Calibrate) -> CliResult {
     match what {
+        Calibrate::Guide(args) => guide::run(args),
         Calibrate::Levels(args) => levels::run(args),
         Calibrate::Noise(args) => noise::run(args),
         Calibrate::Exposure(args) => exposure::run(args),

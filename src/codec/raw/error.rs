@@ -1,6 +1,7 @@
 //! What can be wrong with a raw file, each in a sentence that says what to do.
 
 use crate::pair::{Reason, ReasonCode};
+use crate::photometry::levels::Unmeasured;
 
 /// Why a file gives no sensor values. `what` names the file.
 #[derive(Debug, thiserror::Error)]
@@ -13,6 +14,14 @@ pub enum RawError {
         what: String,
         /// The system's own word.
         source: std::io::Error,
+    },
+    /// It was read with the levels of another body.
+    #[error("{what} cannot be judged: {source}")]
+    OtherBody {
+        /// The file.
+        what: String,
+        /// Whose levels, and whose file.
+        source: Unmeasured,
     },
     /// The file is shorter than its own directory says.
     #[error(

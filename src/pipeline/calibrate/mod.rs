@@ -1,21 +1,25 @@
 //! Calibrations from raw files: the shots are read one by one, the fit is kept with all that it comes from.
 //!
 //! A calibration of the kind `levels` is `calibration/levels.json` (a [`Record`]), `calibration/levels.svg` (its
-//! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already). Whenever one is kept,
+//! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already). Shots that are taken
+//! or sent in one by one wait in `calibration/waiting/` ([`waiting`]) until [`guided`] fits them. Whenever a record is kept,
 //! `calibration/report.html` is written anew ([`report`]).
 
 pub mod colour;
 pub mod exposure;
 pub mod flat;
+pub mod guided;
 pub mod levels;
 pub mod noise;
 pub mod report;
 pub mod take;
+pub mod waiting;
 
 use super::levels as sensor_levels;
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 use crate::codec::raw::{Photo, RawError};
 use crate::export::chart::{self, Chart};
+use crate::pair::Lighting;
 use crate::photometry::levels::MeasuredLevels;
 use crate::progress::{Cancelled, Progress};
 use crate::session::{Session, SessionError, store as disk, utc_now};
@@ -89,6 +93,17 @@ pub enum RecordError {
         /// What is wrong with it.
         reason: String,
     },
+    /// A calibration of another rig than the photographs.
+    #[error("{} is not of the camera that took the photos: {source}; calibrate again with that camera, or begin another session for it", path.display())]
+    OtherRig {
+        /// The file.
+        path: PathBuf,
+        /// What differs.
+        source: OtherRig,
+    },
+    /// A calibration of an earlier program.
+    #[error("{} was written by an earlier version of unlit, in a form that is not read any more; calibrate again (the file is kept)", .0.display())]
+    Older(PathBuf),
     /// A calibration of a later program.
     #[error("{} was written by a later version of unlit (form {found}, this program knows {SCHEMA}); update unlit", path.display())]
     TooNew {
@@ -108,8 +123,12 @@ pub(super) struct Series<'a> {
     shots: Vec<Shot>,
     /// Where each shot was read from.
     paths: Vec<PathBuf>,
+    /// What people must be told beside the fit's verdict.
+    remarks: Vec<String>,
     /// A small picture of each, for the report; absent where there is nothing to see.
     pictures: Vec<Option<Vec<u8>>>,
+    /// Figures beside the chart, by what their files' names end in.
+    figures: Vec<(&'static str, Vec<u8>)>,
 }
 
 impl<'a> Series<'a> {
@@ -121,15 +140,28 @@ impl<'a> Series<'a> {
         } else {
             sensor_levels::load(session)?
         };
+        let rig = Rig { lighting: session.manifest().lighting, ..Rig::default() };
         Ok(Self {
             session,
             kind,
             measured,
-            rig: Rig::default(),
+            rig,
             shots: vec![],
             paths: vec![],
+            remarks: vec![],
             pictures: vec![],
+            figures: vec![],
         })
+    }
+
+    /// Says how the shots were lit and seen, where that is not what the session says.
+    pub(super) fn lit(&mut self, lighting: Lighting) {
+        self.rig.lighting = lighting;
+    }
+
+    /// The rig as far as the shots told it.
+    pub(super) fn rig(&self) -> &Rig {
+        &self.rig
     }
 
     /// Reads the next shot; it must be of the same body and lens as those before. Its number in the series is the
@@ -145,13 +177,17 @@ impl<'a> Series<'a> {
             return Err(SeriesError::Twice { path: path.to_owned(), other: self.paths[at].clone() });
         }
         let told = Rig::of(settings);
-        let Rig { make, model, serial, lens } = std::mem::take(&mut self.rig);
+        let Rig { make, model, serial, lens, lighting } = std::mem::take(&mut self.rig);
         self.rig = Rig {
             make: make.or(told.make),
             model: model.or(told.model),
             serial: serial.or(told.serial),
             lens: lens.or(told.lens),
+            lighting,
         };
+        if let Some(remark) = sensor_levels::remark(&self.measured, settings) {
+            self.remark(remark);
+        }
         let (shutter, aperture, iso) = (settings.shutter, settings.aperture, settings.iso);
         let file = self.place(path, &blake3);
         self.shots.push(Shot { file, blake3, shutter, aperture, iso, left_out: None });
@@ -160,11 +196,12 @@ impl<'a> Series<'a> {
         Ok(photo)
     }
 
-    /// Where a shot lies in the session: where it is, or where its copy will be.
+    /// Where a shot lies in the session: where it is, unless it waits there, or where its copy will be.
     fn place(&self, path: &Path, blake3: &str) -> String {
         let (root, own) = (self.session.path().canonicalize(), path.canonicalize());
         if let (Ok(root), Ok(own)) = (root, own)
             && let Ok(inside) = own.strip_prefix(root)
+            && !waiting::is_waiting(inside)
         {
             return inside.to_string_lossy().into_owned();
         }
@@ -174,6 +211,18 @@ impl<'a> Series<'a> {
     /// The shots read so far.
     pub(super) fn shots(&self) -> &[Shot] {
         &self.shots
+    }
+
+    /// Tells people of something beside the fit's verdict; once, however often it is said.
+    pub(super) fn remark(&mut self, remark: String) {
+        if !self.remarks.contains(&remark) {
+            self.remarks.push(remark);
+        }
+    }
+
+    /// A figure to be kept beside the chart, in a file whose name ends in `ending`.
+    pub(super) fn figure(&mut self, ending: &'static str, bytes: Vec<u8>) {
+        self.figures.push((ending, bytes));
     }
 
     /// Says why a shot is not used.
@@ -186,11 +235,12 @@ impl<'a> Series<'a> {
     pub(super) fn keep<T: Serialize>(
         self,
         fit: T,
-        verdict: Verdict,
+        mut verdict: Verdict,
         figure: &Chart,
         progress: &Progress,
     ) -> Result<Record<T>, SeriesError> {
-        let Self { session, kind, rig, shots, paths, pictures, .. } = self;
+        let Self { session, kind, rig, shots, paths, remarks, pictures, mut figures, .. } = self;
+        verdict.sentences.extend(remarks);
         let count = paths.len();
         for (done, (shot, path)) in shots.iter().zip(&paths).enumerate() {
             progress.check()?;
@@ -208,9 +258,8 @@ impl<'a> Series<'a> {
         let measured = utc_now();
         let software = concat!("unlit ", env!("CARGO_PKG_VERSION")).to_owned();
         let record = Record { schema: SCHEMA, measured, software, rig, shots, verdict, fit };
-        let folder = session.calibration_dir();
-        session.keep(&folder.join(format!("{kind}.svg")), chart::picture(figure).as_bytes())?;
-        store(session, kind, &record)?;
+        figures.push(("svg", chart::picture(figure).into_bytes()));
+        store(session, kind, &record, &figures)?;
         progress.report("copying the shots", count, count);
         for (shot, picture) in record.shots.iter().zip(pictures) {
             if let Some(picture) = picture {
@@ -229,19 +278,41 @@ fn copy_name(kind: &str, file: &str, blake3: &str) -> String {
     format!("calibration/{kind}/{mark}{}", name.strip_prefix(&mark).unwrap_or(name))
 }
 
-/// Makes a record the session's calibration of this kind. One that it had goes to `calibration/former/`, under the
-/// date of its measurement: what was processed by it stays traceable.
-fn store<T: Serialize>(session: &Session, kind: &str, record: &Record<T>) -> Result<(), SeriesError> {
+/// Makes a record the session's calibration of this kind, with its figures, each by what its file's name ends in. What the
+/// session had of this kind goes to `calibration/former/`, under the date of its measurement, even if it cannot be read
+/// any more: what was processed by it stays traceable. The record comes last: while it is the old one, all is as before.
+fn store<T: Serialize>(
+    session: &Session,
+    kind: &str,
+    record: &Record<T>,
+    figures: &[(&str, Vec<u8>)],
+) -> Result<(), SeriesError> {
+    #[derive(Default, serde::Deserialize)]
+    struct Dated {
+        #[serde(default)]
+        measured: String,
+    }
     let path = file(session, kind);
     let bytes = serde_json::to_vec_pretty(record)
         .map_err(|e| RecordError::Damaged { path: path.clone(), reason: e.to_string() })?;
-    if let Ok(Some(former)) = load::<serde_json::Map<String, serde_json::Value>>(session, kind) {
-        let now = std::fs::read(&path).map_err(io(&path))?;
-        if now == bytes {
-            return Ok(());
+    let folder = session.calibration_dir();
+    let there = |path: &Path| match std::fs::read(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+        other => other.map(Some).map_err(io(path)),
+    };
+    if let Some(former) = there(&path)?.filter(|former| *former != bytes) {
+        let Dated { measured } = serde_json::from_slice(&former).unwrap_or_default();
+        let date: String = measured.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').collect();
+        let name = format!("former/{kind}_{date}_{}", &disk::digest(&former)[..8]);
+        for ending in ["svg", "png"] {
+            if let Some(figure) = there(&folder.join(format!("{kind}.{ending}")))? {
+                session.keep(&folder.join(format!("{name}.{ending}")), &figure)?;
+            }
         }
-        let date = former.measured.replace(':', "");
-        session.keep(&session.calibration_dir().join(format!("former/{kind}_{date}.json")), &now)?;
+        session.keep(&folder.join(format!("{name}.json")), &former)?;
+    }
+    for (ending, figure) in figures {
+        session.keep(&folder.join(format!("{kind}.{ending}")), figure)?;
     }
     Ok(session.keep(&path, &bytes)?)
 }
@@ -253,7 +324,7 @@ pub(super) fn load<T: DeserializeOwned>(
 ) -> Result<Option<Record<T>>, RecordError> {
     #[derive(serde::Deserialize)]
     struct Form {
-        schema: u32,
+        schema: Option<u32>,
     }
     let path = file(session, kind);
     let bytes = match std::fs::read(&path) {
@@ -261,14 +332,15 @@ pub(super) fn load<T: DeserializeOwned>(
         other => other.map_err(|source| RecordError::Io { path: path.clone(), source })?,
     };
     let damaged = |e: serde_json::Error| RecordError::Damaged { path: path.clone(), reason: e.to_string() };
-    let Form { schema: found } = serde_json::from_slice(&bytes).map_err(damaged)?;
+    let Form { schema } = serde_json::from_slice(&bytes).map_err(damaged)?;
+    let found = schema.ok_or_else(|| RecordError::Older(path.clone()))?;
     if found > SCHEMA {
         return Err(RecordError::TooNew { path, found });
     }
     serde_json::from_slice(&bytes).map(Some).map_err(damaged)
 }
 
-fn file(session: &Session, kind: &str) -> PathBuf {
+pub(super) fn file(session: &Session, kind: &str) -> PathBuf {
     session.calibration_dir().join(format!("{kind}.json"))
 }
 

@@ -106,15 +106,45 @@ pub fn calibrate(
     Ok(series.keep(result, verdict, &figure, progress)?)
 }
 
-/// The variance model that the session has for frames of these settings: of the same body and ISO; `None` if none was
-/// measured.
-pub fn model(session: &Session, settings: &Settings) -> Result<Option<NoiseModel>, RecordError> {
-    let Some(record) = super::load::<NoiseFit>(session, KIND)? else { return Ok(None) };
-    if !record.verdict.good || settings.model.is_none() {
-        return Ok(None);
+/// What the session's noise calibration says of frames of these settings.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SessionNoise {
+    /// Variance of a site's value; absent if it was not measured, or cannot be relied on.
+    pub model: Option<NoiseModel>,
+    /// Why there is no model though noise was measured, or why it is but a bound: for people.
+    pub remark: Option<String>,
+}
+
+/// The session's noise at these settings. That of another body is an error; that of another ISO is scaled to this one,
+/// and said.
+pub fn of(session: &Session, settings: &Settings) -> Result<SessionNoise, RecordError> {
+    let Some(record) = super::load::<NoiseFit>(session, KIND)? else { return Ok(SessionNoise::default()) };
+    let path = super::file(session, KIND);
+    let other = |source| RecordError::OtherRig { path: path.clone(), source };
+    record.rig.same_body(settings, "the noise calibration").map_err(other)?;
+    let without = |why: &str| {
+        let remark = format!("The noise calibration is not used for variances: {why}.");
+        Ok(SessionNoise { model: None, remark: Some(remark) })
+    };
+    if !record.verdict.good {
+        return without("its own verdict is that it cannot be relied on; calibrate noise again");
     }
-    let fits = record.rig.same_body(settings, "the noise calibration").is_ok();
-    Ok(record.fit.model(settings.iso).filter(|_| fits))
+    if settings.model.is_none() {
+        return without("a frame does not tell its camera model");
+    }
+    let Some(iso) = settings.iso else {
+        return without("a frame does not tell its ISO");
+    };
+    let Some(found) = record.fit.at(iso) else {
+        return without("it holds no ISO; calibrate noise again");
+    };
+    let remark = found.scaled.then(|| {
+        format!(
+            "Noise was not measured at {iso}: variances are scaled from {}, an upper bound; calibrate noise at {iso} for the true ones.",
+            found.measured_at
+        )
+    });
+    Ok(SessionNoise { model: Some(found.model), remark })
 }
 
 fn frame<'a>(
@@ -202,7 +232,8 @@ fn input(
         iso,
         levels: steps.into_iter().map(|step| step.1).collect(),
         dark: dark_pairs,
-        range: range(own, black),
+        range: by_colour(own, |r, c| f64::from(own.levels.saturation[r][c]) - black[r][c]),
+        black: by_colour(own, |r, c| black[r][c]),
         saturation_source: own.levels.saturation_source,
         black_error: black_error(&dark),
         stops,
@@ -228,14 +259,14 @@ fn black_error(dark: &[&Frame<'_>]) -> f64 {
     (dark.iter().map(|d| (d.mean.mean - mean).powi(2)).sum::<f64>() / (n - 1.0) / n).sqrt()
 }
 
-/// Saturation less black of each colour, the lowest of its positions.
-fn range(frame: &Frame<'_>, black: [[f64; 2]; 2]) -> [f64; 3] {
-    let mut range = [f64::INFINITY; 3];
+/// The lowest value of each colour's filter positions.
+fn by_colour(frame: &Frame<'_>, value: impl Fn(usize, usize) -> f64) -> [f64; 3] {
+    let mut lowest = [f64::INFINITY; 3];
     for (r, c) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-        let colour = &mut range[usize::from(frame.cfa.0[r][c]).min(2)];
-        *colour = colour.min(f64::from(frame.levels.saturation[r][c]) - black[r][c]);
+        let colour = &mut lowest[usize::from(frame.cfa.0[r][c]).min(2)];
+        *colour = colour.min(value(r, c));
     }
-    range
+    lowest
 }
 
 /// Variance over signal of the first ISO.
@@ -254,5 +285,50 @@ fn figure(fit: &NoiseFit, verdict: &Verdict) -> Chart {
         across: format!("signal above black{at}, DN"),
         up: "variance, DN^2".into(),
         series: series.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn of_model(model: &str, iso: f64) -> Settings {
+        Settings { model: Some(model.into()), iso: Some(Iso(iso)), ..Settings::default() }
+    }
+
+    fn keep(session: &Session, good: bool) {
+        let record = json!({
+            "schema": 1, "measured": "", "software": "", "rig": { "model": "A" }, "shots": [],
+            "verdict": { "good": good, "sentences": [] },
+            "noise": [{
+                "iso": 100.0, "pairs": 8, "dark_pairs": 2, "model": { "gain": 0.25, "floor": 2.0 },
+                "electrons_per_dn": 4.0, "electrons_per_dn_interval": [3.9, 4.1], "colours": [],
+                "saturation_source": "measured", "residuals": [], "chi_squared": 1.0, "rejected_share": 0.0,
+                "colours_apart_in_errors": 0.0
+            }]
+        });
+        session.keep(&session.calibration_dir().join("noise.json"), record.to_string().as_bytes()).unwrap();
+    }
+
+    #[test]
+    fn noise_counts_for_its_body_is_scaled_aloud_to_other_isos_and_refused_for_other_bodies() {
+        let folder = tempfile::tempdir().unwrap();
+        let session = Session::create(&folder.path().join("s"), "s").unwrap();
+        assert_eq!(of(&session, &of_model("A", 100.0)).unwrap(), SessionNoise::default());
+        keep(&session, true);
+        let own = of(&session, &of_model("A", 100.0)).unwrap();
+        assert_eq!(own, SessionNoise { model: Some(NoiseModel { gain: 0.25, floor: 2.0 }), remark: None });
+        let scaled = of(&session, &of_model("A", 400.0)).unwrap();
+        assert_eq!(scaled.model, Some(NoiseModel { gain: 1.0, floor: 32.0 }));
+        let remark = scaled.remark.unwrap();
+        assert!(remark.contains("not measured at ISO 400") && remark.contains("from ISO 100"), "{remark}");
+        let refused = of(&session, &of_model("B", 100.0)).unwrap_err().to_string();
+        assert!(refused.contains("its camera model is \"B\"") && refused.contains("noise.json"), "{refused}");
+        let untold = of(&session, &Settings { iso: None, ..of_model("A", 1.0) }).unwrap();
+        assert!(untold.model.is_none() && untold.remark.unwrap().contains("does not tell its ISO"));
+        keep(&session, false);
+        let bad = of(&session, &of_model("A", 100.0)).unwrap();
+        assert!(bad.model.is_none() && bad.remark.unwrap().contains("cannot be relied on"));
     }
 }

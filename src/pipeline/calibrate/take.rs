@@ -79,9 +79,10 @@ pub struct Taken {
     pub shots: usize,
 }
 
-/// Copies these calibrations of the session `from`, which is only read, all that it has if none is named, into `session`: record, figures and shots,
-/// each shot compared with its BLAKE3. Date, rig and figures stay those of the measurement. What the session had
-/// before is kept beside, as after a new measurement, and the report is written anew. Nothing is copied if one of them cannot be.
+/// Copies these calibrations of the session `from`, which is only read, all that it has if none is named, into `session`:
+/// record, figures and shots, each shot compared with its BLAKE3. Date, rig and figures stay those of the measurement.
+/// What the session had before is kept beside, as after a new measurement, and the report is written anew. Nothing is
+/// copied if one of them cannot be.
 pub fn take(
     session: &Session,
     from: &Path,
@@ -121,15 +122,14 @@ pub fn take(
                 session.keep(&copy, &bytes)?;
             }
         }
-        for figure in ["svg", "png"] {
-            let name = format!("{kind}.{figure}");
-            let path = from.calibration_dir().join(&name);
+        let mut figures = vec![];
+        for ending in ["svg", "png"] {
+            let path = from.calibration_dir().join(format!("{kind}.{ending}"));
             if path.is_file() {
-                let bytes = std::fs::read(&path).map_err(io(&path))?;
-                session.keep(&session.calibration_dir().join(name), &bytes)?;
+                figures.push((ending, std::fs::read(&path).map_err(io(&path))?));
             }
         }
-        super::store(session, kind, &record)?;
+        super::store(session, kind, &record, &figures)?;
         taken.push(Taken { kind, measured: record.measured, shots: record.shots.len() });
     }
     progress.report("copying the shots", count, count);
