@@ -1,6 +1,6 @@
 //! Sensor levels in the report.
 
-use super::{Told, Z95, head, or_dash, picture, used};
+use super::{Told, Z95, ends, head, or_dash, picture, used};
 use crate::calibration::Record;
 use crate::calibration::levels::{BlackSource, IsoLevels, LevelsFit};
 use crate::export::calibration_report::{Piece, Row, Table};
@@ -36,16 +36,23 @@ fn black(levels: &IsoLevels, dark: &[usize], all: &[usize]) -> Table {
         Some(BlackSource::MaskedPixels) => (all, "the masked border"),
         None => (&[][..], "nothing: not measured"),
     };
-    let half = |error: Option<f64>| error.map_or_else(|| "-".to_owned(), |e| format!("\u{b1}{:.4}", Z95 * e));
+    let within = |interval: Option<[f64; 2]>, error: Option<f64>| match (interval, error) {
+        (Some(interval), _) => ends(interval, 3),
+        (None, Some(error)) => format!("\u{b1}{:.4}", Z95 * error),
+        (None, None) => "-".to_owned(),
+    };
     let rows = levels.sites.iter().map(|site| Row {
         cells: vec![
             format!("{} ({}, {})", site.colour, site.row, site.column),
             or_dash(site.black_dn, 3),
-            half(site.black_error_dn),
+            within(site.black_interval_dn, site.black_error_dn),
             or_dash(site.masked_black_dn, 3),
-            half(site.masked_black_error_dn),
+            within(None, site.masked_black_error_dn),
             or_dash(site.read_noise_dn, 3),
-            half(site.read_noise_error_dn),
+            within(
+                site.read_noise_interval_dn.or(site.read_noise_below_dn.map(|below| [0.0, below])),
+                site.read_noise_error_dn,
+            ),
         ],
         from: from.to_vec(),
     });

@@ -150,6 +150,9 @@ impl Page<'_> {
         let mark = if record.verdict.good { Mark::Good } else { Mark::Bad };
         let mut valid = vec![body(&record.rig)];
         valid.extend(told.valid_for);
+        let lighting = &record.rig.lighting;
+        valid.extend(lighting.polariser.map(|polariser| format!("polariser {polariser}")));
+        valid.extend(lighting.flash_power.map(|power| format!("flash power {power}")));
         let mut facts = vec![
             fact("True of", valid.join(", ")),
             fact("Measured", format!("{} UTC, {}", moment(&record.measured), record.software)),

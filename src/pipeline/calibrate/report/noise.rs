@@ -101,7 +101,10 @@ fn numbers(noise: &IsoNoise, all: &[usize], lit: &[usize]) -> Piece {
             "Read noise",
             or_dash(noise.read_noise_e, 2),
             "electrons",
-            noise.read_noise_e_interval.map(|i| ends(i, 2)),
+            noise
+                .read_noise_e_interval
+                .or(noise.read_noise_below_e.map(|below| [0.0, below]))
+                .map(|i| ends(i, 2)),
             all,
         ),
         figure("Read noise", or_dash(noise.read_noise_dn, 3), "DN", None, all),
