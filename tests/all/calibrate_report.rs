@@ -64,6 +64,33 @@ fn stands_alone(page: &Document<'_>) {
     }
 }
 
+/// A calibration's part has every shot with its picture and its reason, a figure, links and the whole verdict.
+fn tells_all(page: &Document<'_>, session: &str, kind: &str) {
+    let record = std::fs::read(Path::new(session).join(format!("calibration/{kind}.json"))).unwrap();
+    let record: serde_json::Value = serde_json::from_slice(&record).unwrap();
+    let part = page.descendants().find(|n| n.attribute("id") == Some(kind)).unwrap();
+    let inside = text(part);
+    let shots = record["shots"].as_array().unwrap();
+    for shot in shots {
+        let [name, digest] = ["file", "blake3"].map(|field| shot[field].as_str().unwrap());
+        let titled = |n: Node<'_, '_>| n.attribute("title") == Some(digest);
+        assert!(inside.contains(name) && part.descendants().any(titled), "{kind}: {name}");
+        let why = shot["left_out"].as_str().map(|why| why.replace(" %", "\u{a0}%"));
+        assert!(why.is_none_or(|why| inside.contains(&why)), "{kind}: {shot}");
+    }
+    let thumbs = part.descendants().filter(|n| n.attribute("class") == Some("thumb")).count();
+    assert_eq!(thumbs, shots.len(), "{kind}: every shot has its picture");
+    assert!(part.descendants().any(|n| n.has_tag_name("figure")), "{kind} has a figure");
+    assert!(
+        part.descendants().any(|n| n.attribute("class") == Some("from")),
+        "{kind} names the shots of figures"
+    );
+    for sentence in record["verdict"]["sentences"].as_array().unwrap() {
+        let sentence = sentence.as_str().unwrap().replace(" %", "\u{a0}%");
+        assert!(inside.contains(&sentence), "{kind}: {sentence}");
+    }
+}
+
 #[test]
 fn a_bird_baths_calibrations_are_on_one_page_and_every_figure_leads_to_its_shots() {
     let folder = tempfile::tempdir().unwrap();
@@ -100,37 +127,14 @@ fn a_bird_baths_calibrations_are_on_one_page_and_every_figure_leads_to_its_shots
     ];
     run(&flash, &session, cards.collect());
     run(&["repeatability", "--frames"], &session, names("calibration/repeat", |_| true));
-    run(&["colour"], &session, vec![sample("tinydng_colorchart.dng").display().to_string()]);
 
     let html = report(&session);
     println!("{} bytes", html.len());
     let page = page(&html);
     stands_alone(&page);
     assert!(html.contains("Calibration of &lt;b onload=alert(1)&gt;&quot;&amp;&#39;"));
-    for kind in ["levels", "noise", "exposure", "flat", "flash", "steadiness", "colour"] {
-        let record = std::fs::read(Path::new(&session).join(format!("calibration/{kind}.json"))).unwrap();
-        let record: serde_json::Value = serde_json::from_slice(&record).unwrap();
-        let part = page.descendants().find(|n| n.attribute("id") == Some(kind)).unwrap();
-        let inside = text(part);
-        let shots = record["shots"].as_array().unwrap();
-        for shot in shots {
-            let [name, digest] = ["file", "blake3"].map(|field| shot[field].as_str().unwrap());
-            let titled = |n: Node<'_, '_>| n.attribute("title") == Some(digest);
-            assert!(inside.contains(name) && part.descendants().any(titled), "{kind}: {name}");
-            let why = shot["left_out"].as_str().map(|why| why.replace(" %", "\u{a0}%"));
-            assert!(why.is_none_or(|why| inside.contains(&why)), "{kind}: {shot}");
-        }
-        let thumbs = part.descendants().filter(|n| n.attribute("class") == Some("thumb")).count();
-        assert_eq!(thumbs, shots.len(), "{kind}: every shot has its picture");
-        assert!(part.descendants().any(|n| n.has_tag_name("figure")), "{kind} has a figure");
-        assert!(
-            part.descendants().any(|n| n.attribute("class") == Some("from")),
-            "{kind} names the shots of figures"
-        );
-        for sentence in record["verdict"]["sentences"].as_array().unwrap() {
-            let sentence = sentence.as_str().unwrap().replace(" %", "\u{a0}%");
-            assert!(inside.contains(&sentence), "{kind}: {sentence}");
-        }
+    for kind in ["levels", "noise", "exposure", "flat", "flash", "steadiness"] {
+        tells_all(&page, &session, kind);
     }
     // The thesis's table 3.2 beside ours.
     for figure in ["0.0451", "0.0915", "0.0236", "-0.0056"] {
@@ -146,6 +150,19 @@ fn a_bird_baths_calibrations_are_on_one_page_and_every_figure_leads_to_its_shots
         "{}",
         text(shot)
     );
+}
+
+#[test]
+fn colours_are_shown_measured_and_meant() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = session(folder.path(), "chart");
+    run(&["colour"], &session, vec![sample("tinydng_colorchart.dng").display().to_string()]);
+    let html = report(&session);
+    let page = page(&html);
+    stands_alone(&page);
+    tells_all(&page, &session, "colour");
+    let swatches = page.descendants().find(|n| n.attribute("class") == Some("swatches")).unwrap();
+    assert_eq!(swatches.children().filter(|n| n.has_tag_name("rect")).count(), 48);
 }
 
 #[test]

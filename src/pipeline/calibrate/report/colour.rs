@@ -1,6 +1,6 @@
 //! Colour in the report.
 
-use super::{Told, head, used};
+use super::{Told, head, picture, used};
 use crate::calibration::Record;
 use crate::calibration::colour::{self, ColourFit, Differences, Lab};
 use crate::export::calibration_report::{Patch, Piece, Row, Swatches, Table};
@@ -10,9 +10,6 @@ use crate::pipeline::calibrate::colour::{SessionColour, figure};
 use crate::pipeline::report::fact;
 use crate::raster::srgb::encode_u8;
 use crate::session::Session;
-
-/// The largest picture of the chart that goes into the page, bytes.
-const LARGEST: usize = 4 << 20;
 
 pub(super) fn tell(session: &Session, record: &Record<SessionColour>) -> Told {
     let (kept, fit) = (&record.fit, &record.fit.fit);
@@ -26,9 +23,7 @@ pub(super) fn tell(session: &Session, record: &Record<SessionColour>) -> Told {
         false => "corners given by hand".into(),
     };
     let iso = fit.standards.iso_19264_1_level.as_deref().unwrap_or("none met");
-    let mut pieces = vec![Piece::Swatches(swatches(fit)), Piece::Plot(Plot::from(figure(fit)))];
-    pieces.extend(chart_found(session));
-    pieces.extend([differences(fit, &from), matrices(kept, &from), patches(fit, &from)]);
+    let caption = "Where the patches were found; red outlines: left out.";
     Told {
         valid_for: vec![light.into()],
         facts: vec![
@@ -47,7 +42,14 @@ pub(super) fn tell(session: &Session, record: &Record<SessionColour>) -> Told {
                 ),
             ),
         ],
-        pieces,
+        pieces: vec![
+            Piece::Swatches(swatches(fit)),
+            Piece::Plot(Plot::from(figure(fit))),
+            picture(session, "colour.png", "image/png", caption),
+            differences(fit, &from),
+            matrices(kept, &from),
+            patches(fit, &from),
+        ],
         roles: vec!["chart".into(), "room without flash".into()],
     }
 }
@@ -76,19 +78,6 @@ fn swatches(fit: &ColourFit) -> Swatches {
         columns: colour::COLUMNS,
         patches: patches.collect(),
     }
-}
-
-/// The frame with the outlines of the patches, as it was drawn when the chart was found.
-fn chart_found(session: &Session) -> Option<Piece> {
-    let bytes = std::fs::read(session.calibration_dir().join("colour.png")).ok()?;
-    let caption = "Where the patches were found; red outlines: left out.";
-    Some(match bytes.len() <= LARGEST {
-        true => Piece::Picture { kind: "image/png", bytes, caption: caption.into() },
-        false => Piece::Block(crate::export::report::Block::Text(
-            "Where the patches were found is in calibration/colour.png, which is too large for this page."
-                .into(),
-        )),
-    })
 }
 
 fn differences(fit: &ColourFit, from: &[usize]) -> Piece {

@@ -9,8 +9,8 @@ use crate::pipeline::calibrate::exposure::figure;
 use crate::session::Session;
 
 pub(super) fn tell(_: &Session, record: &Record<ExposureFit>) -> Told {
-    let mut told = Told::default();
-    told.roles = vec![String::new(); record.shots.len()];
+    let roles = vec![String::new(); record.shots.len()];
+    let mut told = Told { roles, ..Told::default() };
     let apertures = record.fit.ladders.iter().any(|ladder| ladder.setting == Setting::Aperture);
     if apertures && let Some(lens) = &record.rig.lens {
         told.valid_for.push(format!("apertures of {lens}"));

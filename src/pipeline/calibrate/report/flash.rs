@@ -5,7 +5,7 @@ use crate::calibration::{CardResidual, FlashCalibration, Interval, Record, Shot}
 use crate::export::calibration_report::{Piece, Row, Table};
 use crate::export::chart::{Chart, Curve, Plot, Series};
 use crate::pipeline::flash::picture;
-use crate::pipeline::report::fact;
+use crate::pipeline::report::{fact, moment};
 use crate::session::Session;
 use glam::DVec3;
 
@@ -66,20 +66,33 @@ fn is_of(file: &str, label: &str) -> bool {
 }
 
 fn facts(fit: &FlashCalibration) -> Vec<(String, String)> {
+    let found = &fit.findings;
     let [a1, a2, a3] = fit.field.coefficients;
-    let field = match fit.findings.vignetting_given {
+    let field = match found.vignetting_given {
         true => "vignetting, from the flat field",
         false => "vignetting times lobe: card shots alone tell no more than the product",
     };
-    vec![
-        fact("Ring by the ruler", format!("{} to {} m", fit.ring.inner, fit.ring.outer)),
+    let ring = if found.radii_fitted { "Ring by the shots" } else { "Ring by the ruler" };
+    let noise =
+        format!("variance = {:.4} DN \u{d7} signal + {:.2} DN\u{b2}", fit.noise.gain, fit.noise.floor);
+    let mut facts = vec![
+        fact(ring, format!("{} to {} m", fit.ring.inner, fit.ring.outer)),
         fact("Card", format!("reflectance {}", fit.target_reflectance)),
         fact("Over the field", format!("1 {a1:+.4} q {a2:+.4} q\u{b2} {a3:+.4} q\u{b3}: {field}")),
-        fact(
-            "Noise",
-            format!("variance = {:.4} DN \u{d7} signal + {:.2} DN\u{b2}", fit.noise.gain, fit.noise.floor),
-        ),
-    ]
+        fact("Noise", noise),
+    ];
+    if let Some(flat) = &found.flat_field {
+        facts.push(fact(
+            "Flat field",
+            format!("measured {} UTC, BLAKE3 {}", moment(&flat.measured), flat.blake3),
+        ));
+    }
+    if let Some(correction) = &found.correction {
+        let factor = correction.factor.map(|f| format!("{f:.5}")).join(", ");
+        let base = format!("{} (BLAKE3 {})", correction.base_file, correction.base_blake3);
+        facts.push(fact("Corrected by one shot", format!("factor {factor} (R G B) on {base}")));
+    }
+    facts
 }
 
 /// The test of the inverse-square law: light on the card's middle over its distance, both logarithmic.

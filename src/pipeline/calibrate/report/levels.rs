@@ -1,19 +1,17 @@
 //! Sensor levels in the report.
 
-use super::{Told, Z95, head, or_dash, used};
+use super::{Told, Z95, ends, head, or_dash, picture, used};
 use crate::calibration::Record;
 use crate::calibration::levels::{BlackSource, IsoLevels, LevelsFit};
 use crate::export::calibration_report::{Piece, Row, Table};
 use crate::session::Session;
 
 pub(super) fn tell(session: &Session, record: &Record<LevelsFit>) -> Told {
-    let mut told = Told::default();
-    told.roles = vec![String::new(); record.shots.len()];
+    let roles = vec![String::new(); record.shots.len()];
+    let mut told = Told { roles, ..Told::default() };
     // Its histograms are in no record; the figure was drawn when the frames were read.
-    if let Ok(bytes) = std::fs::read(session.calibration_dir().join("levels.svg")) {
-        let caption = "Histogram of the dark frames by colour; without dark frames, saturation over ISO.";
-        told.pieces.push(Piece::Picture { kind: "image/svg+xml", bytes, caption: caption.into() });
-    }
+    let caption = "Histogram of the dark frames by colour; without dark frames, saturation over ISO.";
+    told.pieces.push(picture(session, "levels.svg", "image/svg+xml", caption));
     for levels in &record.fit.levels {
         told.valid_for.push(levels.iso.to_string());
         let (dark, blown) = frames(record, levels);
@@ -38,16 +36,23 @@ fn black(levels: &IsoLevels, dark: &[usize], all: &[usize]) -> Table {
         Some(BlackSource::MaskedPixels) => (all, "the masked border"),
         None => (&[][..], "nothing: not measured"),
     };
-    let half = |error: Option<f64>| error.map_or_else(|| "-".to_owned(), |e| format!("\u{b1}{:.4}", Z95 * e));
+    let within = |interval: Option<[f64; 2]>, error: Option<f64>| match (interval, error) {
+        (Some(interval), _) => ends(interval, 3),
+        (None, Some(error)) => format!("\u{b1}{:.4}", Z95 * error),
+        (None, None) => "-".to_owned(),
+    };
     let rows = levels.sites.iter().map(|site| Row {
         cells: vec![
             format!("{} ({}, {})", site.colour, site.row, site.column),
             or_dash(site.black_dn, 3),
-            half(site.black_error_dn),
+            within(site.black_interval_dn, site.black_error_dn),
             or_dash(site.masked_black_dn, 3),
-            half(site.masked_black_error_dn),
+            within(None, site.masked_black_error_dn),
             or_dash(site.read_noise_dn, 3),
-            half(site.read_noise_error_dn),
+            within(
+                site.read_noise_interval_dn.or(site.read_noise_below_dn.map(|below| [0.0, below])),
+                site.read_noise_error_dn,
+            ),
         ],
         from: from.to_vec(),
     });

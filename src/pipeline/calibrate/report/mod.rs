@@ -16,6 +16,7 @@ mod steadiness;
 use super::{RecordError, SeriesError, load};
 use crate::calibration::{Record, Rig};
 use crate::export::calibration_report::{CalibrationReport, Line, Mark, Part, Piece, Row, Table, html};
+use crate::export::report::Block;
 use crate::pipeline::report::{fact, moment, or_untold};
 use crate::progress::Progress;
 use crate::session::{Session, utc_now};
@@ -149,6 +150,9 @@ impl Page<'_> {
         let mark = if record.verdict.good { Mark::Good } else { Mark::Bad };
         let mut valid = vec![body(&record.rig)];
         valid.extend(told.valid_for);
+        let lighting = &record.rig.lighting;
+        valid.extend(lighting.polariser.map(|polariser| format!("polariser {polariser}")));
+        valid.extend(lighting.flash_power.map(|power| format!("flash power {power}")));
         let mut facts = vec![
             fact("True of", valid.join(", ")),
             fact("Measured", format!("{} UTC, {}", moment(&record.measured), record.software)),
@@ -237,6 +241,22 @@ fn body(rig: &Rig) -> String {
 fn used<T>(record: &Record<T>, mut wanted: impl FnMut(usize) -> bool) -> Vec<usize> {
     let shots = record.shots.iter().enumerate().filter(|(_, shot)| shot.left_out.is_none());
     shots.map(|(number, _)| number).filter(|&number| wanted(number)).collect()
+}
+
+/// The largest picture that goes into the page, bytes.
+const LARGEST: usize = 4 << 20;
+
+/// A picture of `calibration/` that was drawn when the calibration was made, of which no record tells enough to draw it
+/// again.
+fn picture(session: &Session, name: &str, kind: &'static str, caption: &str) -> Piece {
+    let why = match std::fs::read(session.calibration_dir().join(name)) {
+        Ok(bytes) if bytes.len() <= LARGEST => {
+            return Piece::Picture { kind, bytes, caption: caption.to_owned() };
+        }
+        Ok(_) => "it is too large for this page".to_owned(),
+        Err(error) => error.to_string(),
+    };
+    Piece::Block(Block::Text(format!("Not shown: calibration/{name} ({why}). {caption}")))
 }
 
 /// A table of single figures.

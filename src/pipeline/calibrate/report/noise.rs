@@ -10,8 +10,8 @@ use crate::session::Session;
 const COLOURS: [&str; 3] = ["red", "green", "blue"];
 
 pub(super) fn tell(_: &Session, record: &Record<NoiseFit>) -> Told {
-    let mut told = Told::default();
-    told.roles = vec![String::new(); record.shots.len()];
+    let roles = vec![String::new(); record.shots.len()];
+    let mut told = Told { roles, ..Told::default() };
     for noise in &record.fit.noise {
         told.valid_for.push(noise.iso.to_string());
         // Lit frames are read first; what makes no pair is left out.
@@ -101,7 +101,10 @@ fn numbers(noise: &IsoNoise, all: &[usize], lit: &[usize]) -> Piece {
             "Read noise",
             or_dash(noise.read_noise_e, 2),
             "electrons",
-            noise.read_noise_e_interval.map(|i| ends(i, 2)),
+            noise
+                .read_noise_e_interval
+                .or(noise.read_noise_below_e.map(|below| [0.0, below]))
+                .map(|i| ends(i, 2)),
             all,
         ),
         figure("Read noise", or_dash(noise.read_noise_dn, 3), "DN", None, all),
