@@ -125,7 +125,9 @@ impl Copyist {
             other => Outcome::Failed(other.to_string()),
         })?;
         store::remove_temporaries(&self.folder).map_err(|error| failed(&self.folder, error))?;
-        for folder in EMPTY.iter().chain(UNITS.iter().map(|(folder, _)| folder)).chain(&ORIGINALS).chain(&LISTS) {
+        for folder in
+            EMPTY.iter().chain(UNITS.iter().map(|(folder, _)| folder)).chain(&ORIGINALS).chain(&LISTS)
+        {
             let folder = self.folder.join(folder);
             std::fs::create_dir_all(&folder).map_err(|error| failed(&folder, error))?;
         }
