@@ -231,10 +231,18 @@ pub fn measured(session: &Session, kind: Kind) -> Result<Option<Measured>, Recor
 mod tests {
     use super::*;
     use crate::calibration::SCHEMA;
+    use crate::pair::Settings;
 
     #[test]
     fn what_limits_a_calibration_depends_on_its_kind() {
         let text = |t: &str| Some(t.to_owned());
+        let settings = Settings {
+            make: text("Canon"),
+            model: text("Canon EOS 5DS"),
+            serial: text("17"),
+            lens: text("50 mm"),
+            ..Settings::default()
+        };
         let shot = |iso: f64, left_out: Option<String>| Shot {
             file: String::new(),
             blake3: String::new(),
@@ -247,13 +255,7 @@ mod tests {
             schema: SCHEMA,
             measured: String::new(),
             software: String::new(),
-            rig: Rig {
-                make: text("Canon"),
-                model: text("Canon EOS 5DS"),
-                serial: text("17"),
-                lens: text("50 mm"),
-                ..Rig::default()
-            },
+            rig: Rig::of(&settings),
             shots: vec![shot(400.0, None), shot(100.0, None), shot(400.0, None), shot(800.0, text("clips"))],
             verdict: Verdict { good: true, sentences: vec![] },
             fit: (),

@@ -256,23 +256,31 @@ pub fn list(session: &Session, kind: Kind) -> Result<Vec<WaitingShot>, WaitingEr
     let mut shots = vec![];
     for entry in entries {
         let entry = entry.map_err(io(&folder))?;
-        let own = entry.file_name().to_str().and_then(|name| name.parse::<u32>().ok());
-        let path = entry.path().join(RECORD);
-        let Some(number) = own.filter(|_| path.is_file()) else { continue };
-        let bytes = std::fs::read(&path).map_err(io(&path))?;
-        let shot: WaitingShot = serde_json::from_slice(&bytes).map_err(damaged(&path))?;
-        shots.push(WaitingShot { number, ..shot });
+        if let Some(number) = entry.file_name().to_str().and_then(|name| name.parse().ok()) {
+            shots.extend(read(&entry.path(), number)?);
+        }
     }
     shots.sort_by_key(|shot| shot.number);
     Ok(shots)
+}
+
+/// The shot whose folder this is; `None` if there is no whole one.
+fn read(folder: &Path, number: u32) -> Result<Option<WaitingShot>, WaitingError> {
+    let path = folder.join(RECORD);
+    match std::fs::read(&path) {
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
+        read => {
+            let shot = serde_json::from_slice(&read.map_err(io(&path))?).map_err(damaged(&path))?;
+            Ok(Some(WaitingShot { number, ..shot }))
+        }
+    }
 }
 
 /// Removes a shot that waits; it is gone whole or not at all.
 pub fn remove(session: &Session, kind: Kind, number: u32) -> Result<(), WaitingError> {
     let folder = folder(session, kind);
     let own = folder.join(format!("{number:04}"));
-    let shot = list(session, kind)?.into_iter().find(|shot| shot.number == number);
-    let Some(shot) = shot else {
+    let Some(shot) = read(&own, number)? else {
         return Err(WaitingError::None { kind: kind.name(), shot: number.to_string() });
     };
     note(session, "calibration_frame_removed", kind, number, &shot.frame.blake3)?;
