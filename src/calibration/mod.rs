@@ -1,9 +1,11 @@
 //! Fits from calibration shots. Plain inputs, no files.
 
+pub mod certificate;
 pub mod colour;
 pub mod exposure;
 mod flash;
 pub mod flat;
+pub mod guide;
 pub mod levels;
 mod linear;
 pub mod noise;
@@ -13,8 +15,8 @@ mod steadiness;
 pub mod tiles;
 
 pub use flash::{
-    CardResidual, CardShot, Cell, FieldFactor, FlashCalibration, FlashFacts, FlashFindings, FlashFitError,
-    Interval, Plane, Target, fit_flash,
+    CardResidual, CardShot, Cell, Correction, FieldFactor, FlashCalibration, FlashFacts, FlashFindings,
+    FlashFitError, FlatSource, Interval, Plane, Target, Vignetting, correct_flash, fit_flash,
 };
 pub use levels::LevelsFit;
 pub use noise::NoiseFit;

@@ -6,6 +6,7 @@ use crate::pair::{Expected, FlashRecord, FrameRecord, Plan, Reason, Window};
 use crate::photometry::levels::MeasuredLevels;
 use crate::pipeline::flash::SHOT_RECORD;
 use crate::pipeline::levels;
+use crate::pipeline::scale::SessionScale;
 use crate::session::{self, Session, SessionError, Stager, store};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -65,6 +66,20 @@ pub fn calibration_shots(session: &Session) -> Result<Vec<CalibrationShot>, Plac
     Ok(shots)
 }
 
+/// Removes a shot; the journal hears of it first.
+pub(super) fn remove(session: &Session, name: &str) -> Result<(), PlaceError> {
+    let folder = shots_dir(session);
+    let own = folder.join(name);
+    note(session, session::SHOT_REMOVED, json!({ "name": name }))?;
+    let aside = tempfile::Builder::new()
+        .prefix(store::TEMPORARY_PREFIX)
+        .tempdir_in(&folder)
+        .map_err(disk(&folder))?;
+    std::fs::rename(&own, aside.path().join("shot")).map_err(disk(&own))?;
+    store::sync_folder(&folder).map_err(disk(&folder))?;
+    aside.close().map_err(disk(&folder))
+}
+
 /// The two frames' paths of a calibration shot.
 pub fn calibration_frames(session: &Session, shot: &CalibrationShot) -> (PathBuf, PathBuf) {
     let folder = shots_dir(session).join(&shot.name);
@@ -81,6 +96,7 @@ pub(super) struct CardPlace<'a> {
     session: &'a Session,
     distance_m: f64,
     levels: Arc<MeasuredLevels>,
+    scale: SessionScale,
     name: String,
     tag: u32,
     sees_light: bool,
@@ -97,7 +113,8 @@ impl<'a> CardPlace<'a> {
         let tag = u32::try_from(taken.len()).unwrap_or(u32::MAX - 1).saturating_add(1);
         let sees_light = taken.iter().filter_map(|shot| shot.flash.as_ref()).any(FlashRecord::saw_light);
         let levels = Arc::new(levels::load(session)?);
-        Ok(Self { session, distance_m, levels, name, tag, sees_light, stored: None })
+        let scale = SessionScale::load(session)?;
+        Ok(Self { session, distance_m, levels, scale, name, tag, sees_light, stored: None })
     }
 
     /// The shot, once stored.
@@ -170,6 +187,10 @@ impl Place for CardPlace<'_> {
 
     fn levels(&self) -> Arc<MeasuredLevels> {
         self.levels.clone()
+    }
+
+    fn scale(&self) -> &SessionScale {
+        &self.scale
     }
 
     fn expected<'b>(&'b self, _off: &'b str, _on: &'b str, _energy: Option<f64>) -> Expected<'b> {

@@ -15,6 +15,7 @@ use super::run::Run;
 use super::wish::PairWish;
 use crate::pair::{Limits, Offered, PairRecord, Settings, Verdict};
 use crate::pipeline::levels;
+use crate::pipeline::scale::SessionScale;
 use crate::pipeline::stops::Earlier;
 use crate::progress::Progress;
 use crate::rig::{CameraError, CameraInfo, LockReport};
@@ -178,7 +179,12 @@ impl Engine {
     ) -> Result<PairRecord, CaptureError> {
         let mut memory = lock(&self.memory);
         let earlier = match memory.take() {
-            Some((path, earlier)) if path == session.path() => earlier,
+            Some((path, earlier))
+                if path == session.path()
+                    && earlier.is_by(&SessionScale::load(session).map_err(CaptureError::Levels)?) =>
+            {
+                earlier
+            }
             _ => Earlier::load(session, progress)?,
         };
         let (_, earlier) = memory.insert((session.path().to_owned(), earlier));
@@ -221,7 +227,8 @@ impl Engine {
         self.shoot(&mut place, progress)?;
         let shot = place.into_shot().ok_or(PlaceError::Incomplete)?;
         let words = format!("Calibration shot {} at {} m is stored.", shot.name, shot.distance_m);
-        let data = json!({ "session": name_of(session), "name": shot.name });
+        let data =
+            json!({ "session": name_of(session), "kind": "flash", "shot": shot.name, "name": shot.name });
         self.events.tell(Topic::CalibrationShot, words, data);
         Ok(shot)
     }

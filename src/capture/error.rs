@@ -6,7 +6,9 @@ use crate::codec::raw::RawError;
 use crate::pair::energy::RepeatError;
 use crate::pair::finding::FindingError;
 use crate::photometry::{IsolateError, NoNoise};
-use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::calibrate::waiting::WaitingError;
+use crate::pipeline::calibrate::{RecordError, SeriesError};
+use crate::pipeline::scale::RatioError;
 use crate::pipeline::stops::EarlierError;
 use crate::progress::Cancelled;
 use crate::rig::{CameraError, FlashError};
@@ -57,6 +59,12 @@ pub enum CaptureError {
         /// Whether it should have fired.
         expected: bool,
     },
+    /// The flash did not light a calibration frame once.
+    #[error("the flash did not fire once for this frame; check its cable, charge and switch")]
+    FrameMisfired,
+    /// A calibration frame could not be kept.
+    #[error("the calibration frame could not be kept: {0}")]
+    Waiting(WaitingError),
     /// A series that is divided by measured energies, with a flash that nobody measures.
     #[error(
         "how steady the flash is can only be measured with a flash controller, whose photodiode measures every pulse; connect one and leave `--flash manual` out"
@@ -89,9 +97,15 @@ pub enum CaptureError {
     /// The figures of a series say nothing.
     #[error(transparent)]
     Series(#[from] RepeatError),
-    /// The session's measured levels.
+    /// A calibration of the session cannot be read.
     #[error(transparent)]
     Levels(RecordError),
+    /// The session's exposure table is another body's.
+    #[error(transparent)]
+    Ratio(#[from] RatioError),
+    /// The series is kept, but not the report that tells of it.
+    #[error("the series is kept, but the calibration report could not be written: {0}")]
+    Report(SeriesError),
     /// The system gave no thread.
     #[error("the frame could not be checked: no thread to be had ({0}); close other programs")]
     NoThread(std::io::Error),
@@ -120,7 +134,9 @@ impl CaptureError {
             CaptureError::ExposureUntold => "exposure_untold",
             CaptureError::Finding(_) => "exposure_not_found",
             CaptureError::TestShot(_) => "frame_unreadable",
-            CaptureError::TestShotMisfired { .. } => "flash_misfired",
+            CaptureError::TestShotMisfired { .. } | CaptureError::FrameMisfired => "flash_misfired",
+            CaptureError::Waiting(WaitingError::Raw(_)) => "frame_unreadable",
+            CaptureError::Waiting(_) => "session_not_written",
             CaptureError::NeedsController => "flash_controller_needed",
             CaptureError::SeriesBroken { .. } => "series_broken",
             CaptureError::SeriesClipped { .. } => "series_clipped",
@@ -128,6 +144,8 @@ impl CaptureError {
             CaptureError::SeriesFrames(_) => "series_frames_differ",
             CaptureError::Series(_) => "series_says_nothing",
             CaptureError::Levels(_) => "levels_unreadable",
+            CaptureError::Ratio(_) => "exposure_table_of_another_body",
+            CaptureError::Report(_) => "report_not_written",
             CaptureError::NoThread(_) => "no_thread",
             CaptureError::Place(PlaceError::Session(SessionError::NoRoom { .. })) => "disk_full",
             CaptureError::Place(PlaceError::Session(SessionError::NoSuchPair { .. })) => "pair_not_found",
@@ -145,10 +163,21 @@ impl From<SessionError> for CaptureError {
     }
 }
 
+impl From<SeriesError> for CaptureError {
+    fn from(error: SeriesError) -> Self {
+        match error {
+            SeriesError::Session(error) => error.into(),
+            SeriesError::Cancelled(cancelled) => cancelled.into(),
+            other => Self::Report(other),
+        }
+    }
+}
+
 impl From<EarlierError> for CaptureError {
     fn from(error: EarlierError) -> Self {
         match error {
             EarlierError::Session(error) => error.into(),
+            EarlierError::Record(error) => CaptureError::Levels(error),
             EarlierError::Cancelled(cancelled) => cancelled.into(),
         }
     }

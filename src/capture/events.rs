@@ -25,8 +25,10 @@ pub enum Topic {
     PromptDone,
     /// A pair is safe on disk, accepted or rejected.
     Pair,
-    /// A pair of calibration frames is safe on disk.
+    /// A calibration's frame, or its pair of them, is safe on disk.
     CalibrationShot,
+    /// A calibration was measured, or its shots changed.
+    Calibration,
     /// A device failed and is brought back; the pair goes on.
     Recovery,
     /// Something asked for could not be done.
@@ -51,6 +53,7 @@ impl Topic {
             Topic::PromptDone => "prompt_done",
             Topic::Pair => "pair",
             Topic::CalibrationShot => "calibration_shot",
+            Topic::Calibration => "calibration",
             Topic::Recovery => "recovery",
             Topic::Trouble => "trouble",
             Topic::Sequence => "sequence",

@@ -7,11 +7,12 @@ use super::bench::FlashKind;
 use super::engine::{ATTEMPTS, Engine, worth_another_try};
 use super::error::CaptureError;
 use super::hands::{Hands, exposure_of};
+use crate::codec::raw::Photo;
 use crate::pair::finding::{Finding, Found, Keep, MOST_SHOTS, Next, Wish};
 use crate::pair::{Exposure, Settings};
-use crate::photometry::Mosaic;
 use crate::photometry::levels::MeasuredLevels;
 use crate::pipeline::levels;
+use crate::pipeline::scale::{RatioError, SessionScale};
 use crate::progress::Progress;
 use crate::session::{Event, Session};
 use serde::{Deserialize, Serialize};
@@ -49,6 +50,7 @@ impl Engine {
         progress: &Progress,
     ) -> Result<Found, CaptureError> {
         let measured = levels::load(session).map_err(CaptureError::Levels)?;
+        let scale = SessionScale::load(session).map_err(CaptureError::Levels)?;
         let wish = Wish {
             target_share: wish.target_share,
             separate_off: wish.separate_off,
@@ -58,7 +60,7 @@ impl Engine {
         };
         let mut bench = self.take_bench();
         let mut hands = Hands { bench: &mut bench, prompter: self.prompter(), progress };
-        let outcome = self.look_for_it(&mut hands, wish, &measured);
+        let outcome = self.look_for_it(&mut hands, wish, (&measured, &scale));
         hands.disarm();
         let found = outcome?;
         session.set_plan(found.plan)?;
@@ -72,7 +74,7 @@ impl Engine {
         &self,
         hands: &mut Hands,
         mut wish: Wish,
-        measured: &MeasuredLevels,
+        (measured, scale): (&MeasuredLevels, &SessionScale),
     ) -> Result<Found, CaptureError> {
         if let Some(x_sync) = hands.lock_report()?.x_sync {
             wish.x_sync = x_sync;
@@ -80,7 +82,9 @@ impl Engine {
         let mut told = hands.lock()?;
         let start = exposure_of(&told).ok_or(CaptureError::ExposureUntold)?;
         let offered = hands.offered()?;
-        let mut finding = Finding::new(wish, &offered, start)?;
+        // Drivers name bodies otherwise than files do: whose the table is, the test shots' own files tell.
+        let table = scale.of(&Settings::default()).map_err(RatioError::from)?;
+        let mut finding = Finding::new(wish, &offered, start, table)?;
         let mut taken = 0;
         loop {
             match finding.next()? {
@@ -94,7 +98,8 @@ impl Engine {
                     let words = format!("Test shot {taken} of at most {MOST_SHOTS}: {exposure}");
                     hands.progress.report(&words, taken - 1, MOST_SHOTS);
                     let shot = self.test_shot(hands, &mut told, &exposure, flash, measured)?;
-                    finding.observe(&shot)?;
+                    scale.of(&shot.settings).map_err(RatioError::from)?;
+                    finding.observe(&shot.mosaic)?;
                 }
             }
         }
@@ -108,7 +113,7 @@ impl Engine {
         exposure: &Exposure,
         flash: bool,
         measured: &MeasuredLevels,
-    ) -> Result<Mosaic, CaptureError> {
+    ) -> Result<Photo, CaptureError> {
         let mut attempt = 1;
         loop {
             match hands.test_shot(told, exposure, flash, measured) {
@@ -130,7 +135,7 @@ impl Hands<'_> {
         exposure: &Exposure,
         flash: bool,
         measured: &MeasuredLevels,
-    ) -> Result<Mosaic, CaptureError> {
+    ) -> Result<Photo, CaptureError> {
         self.turn_dials(told, exposure)?;
         *told = Settings {
             shutter: Some(exposure.shutter),
@@ -144,9 +149,7 @@ impl Hands<'_> {
         if pulses.is_some_and(|pulses| pulses != usize::from(flash)) {
             return Err(CaptureError::TestShotMisfired { expected: flash });
         }
-        let photo =
-            levels::decode(&shot.raw.bytes, &shot.raw.name, measured).map_err(CaptureError::TestShot)?;
-        Ok(photo.mosaic)
+        levels::decode(&shot.raw.bytes, &shot.raw.name, measured).map_err(CaptureError::TestShot)
     }
 
     fn darken_or_arm(&mut self, flash: bool) -> Result<(), CaptureError> {

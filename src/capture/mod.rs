@@ -12,6 +12,7 @@ mod engine;
 mod error;
 mod events;
 mod find;
+mod frame;
 mod hands;
 mod live;
 mod machine;
@@ -26,11 +27,15 @@ mod wish;
 
 pub use bench::{DeviceState, Devices, FlashKind, ListCameras, OpenCamera, OpenFlash, RigSource};
 pub use card::{CalibrationShot, calibration_frames, calibration_shots};
-pub use desk::{Desk, DeskError, FlashCard, Glance, SceneFiles, SessionSummary, Works};
+pub use desk::{
+    CalibrationState, Desk, DeskError, FlashCard, FlashOrder, Glance, IncomingFrames, SceneFiles, SeriesShot,
+    SessionSummary, Works,
+};
 pub use engine::{AfterPair, CameraState, Engine, words_on};
 pub use error::CaptureError;
 pub use events::{Event, Events, Heard, Topic};
 pub use find::ExposureWish;
+pub use frame::ShotWish;
 pub use live::LivePicture;
 pub use machine::{Course, Effect, End, Event as PairEvent, State, step};
 pub use place::PlaceError;

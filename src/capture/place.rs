@@ -6,6 +6,7 @@ use crate::pair::{Drift, Expected, FlashRecord, PairRecord, Plan, Reason, Settin
 use crate::photometry::levels::MeasuredLevels;
 use crate::pipeline::calibrate::RecordError;
 use crate::pipeline::levels;
+use crate::pipeline::scale::SessionScale;
 use crate::pipeline::stops::{Delivery, Earlier};
 use crate::rig::Shot;
 use crate::session::{
@@ -91,6 +92,8 @@ pub(super) trait Place {
     fn stager(&self) -> Option<Stager>;
     /// Levels as they were measured for the session.
     fn levels(&self) -> Arc<MeasuredLevels>;
+    /// How light goes with the settings.
+    fn scale(&self) -> &SessionScale;
     /// What is known beforehand of a pair whose files have the digests `off` and `on` and whose pulse measured
     /// `energy` counts.
     fn expected<'a>(&'a self, off: &'a str, on: &'a str, energy: Option<f64>) -> Expected<'a>;
@@ -174,6 +177,10 @@ impl Place for PairPlace<'_> {
         self.levels.clone()
     }
 
+    fn scale(&self) -> &SessionScale {
+        self.earlier.scale()
+    }
+
     fn expected<'b>(&'b self, off: &'b str, on: &'b str, energy: Option<f64>) -> Expected<'b> {
         self.earlier.expecting(off, on, energy, Delivery::Camera)
     }
@@ -194,6 +201,7 @@ impl Place for PairPlace<'_> {
                 program: self.program,
                 off: shots.more_off.iter().map(Delivered::new_frame).collect(),
                 after: shots.after.iter().map(Delivered::new_frame).collect(),
+                crossed: None,
                 drift: shots.drift,
                 again: self.again,
             },

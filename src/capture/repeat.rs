@@ -14,7 +14,7 @@ use crate::pair::energy::{FEWEST_SHOTS, RepeatError, RepeatShot, Repeatability, 
 use crate::pair::{FlashRecord, Reason, ReasonCode, Settings, Window, proof};
 use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{KnownMosaic, Mosaic, NoiseModel, isolate};
-use crate::pipeline::calibrate::noise;
+use crate::pipeline::calibrate::{noise, report};
 use crate::pipeline::energy::repeatability_file;
 use crate::pipeline::levels;
 use crate::progress::Progress;
@@ -133,6 +133,7 @@ impl Engine {
         let report =
             RepeatReport { taken, settings, region: window, left_out, remarks, result: result.clone() };
         keep(session, &report)?;
+        report::write(session, progress)?;
         Ok(result)
     }
 

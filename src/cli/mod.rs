@@ -3,6 +3,7 @@
 mod apex;
 mod calibrate;
 mod camera_host;
+mod certify;
 mod decode_host;
 mod devices;
 mod doctor;
@@ -15,6 +16,7 @@ mod import;
 mod import_pairs;
 mod import_scene;
 mod inspect;
+mod lighting;
 mod new;
 mod openapi;
 mod process;
@@ -113,6 +115,9 @@ enum Command {
     Process(process::Args),
     /// Compares a session's reflectance with a known truth.
     Evaluate(evaluate::Args),
+    /// Compares a session's reflectance with patches of known reflectance that were left in the scene; exit code 1 if one
+    /// is off by more than 5 %, or none was seen.
+    Certify(certify::Args),
     /// Writes a session's model in other programs' formats and colour spaces.
     Export(export::Args),
     /// Develops a session's accepted pairs into a folder for Metashape, RealityScan or COLMAP.
@@ -155,6 +160,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> CliResult {
         Command::Apex(args) => apex::run(&args),
         Command::Process(args) => process::run(&args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::Certify(args) => certify::run(&args),
         Command::Export(args) => export::run(args),
         Command::ExportPhotos(args) => export_photos::run(args),
         Command::Experiment(args) => experiment::run(args),

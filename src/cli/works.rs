@@ -1,11 +1,16 @@
 //! The processing that `unlit serve` sets off, as the desk wants it.
 
+use super::calibrate::PAPER;
+use crate::calibration::guide::Kind;
 use crate::calibration::{Plane, Target};
-use crate::capture::{CalibrationShot, FlashCard, SceneFiles, Works};
+use crate::capture::{FlashCard, SceneFiles, Works, calibration_frames};
 use crate::jobs::WorkError;
+use crate::pipeline::calibrate::guided::{self, FitOrder};
+use crate::pipeline::calibrate::waiting;
 use crate::pipeline::flash::{self, CardFacts, CardFiles, FlashError};
 use crate::pipeline::process::{self, ProcessError, ProcessOptions};
 use crate::pipeline::scene::{self, Lengths, SceneError, Unit};
+use crate::pipeline::standing;
 use crate::progress::Progress;
 use crate::session::Session;
 use serde_json::{Value, json};
@@ -22,11 +27,12 @@ pub(super) fn works() -> Result<Works, rayon::ThreadPoolBuildError> {
     Ok(Works {
         process: on_pool(&pool, process),
         calibrate_flash: on_pool(&pool, calibrate_flash),
+        calibrate: on_pool(&pool, calibrate),
         import_scene: Arc::new(import_scene),
         has_scene: Arc::new(|session| session.scene_dir().join("scene.json").is_file()),
         has_flash_calibration: Arc::new(flash::exists),
         // What lacks something to be made from is told by whoever asks for it.
-        needs_processing: Arc::new(|session| process::is_due(session).unwrap_or(false)),
+        needs_processing: Arc::new(|session| standing::is_due(session).unwrap_or(false)),
     })
 }
 
@@ -50,30 +56,42 @@ fn process(session: &Session, (): (), progress: &Progress) -> Result<Value, Work
 }
 
 fn calibrate_flash(session: &Session, card: FlashCard, progress: &Progress) -> Result<Value, WorkError> {
-    let folder = session.calibration_dir().join("flash");
-    let files = |shot: CalibrationShot| {
-        let place = folder.join(&shot.name);
-        let off = Some(place.join(&shot.off.file));
-        CardFiles {
-            plane: Plane::facing(shot.distance_m),
-            on: place.join(&shot.on.file),
-            off,
-            held_out: false,
-        }
-    };
-    let shots: Vec<CardFiles> = card.shots.into_iter().map(files).collect();
+    let FlashCard { order, shots } = card;
+    let failed = |error| WorkError::failed("calibration_failed", error);
+    let sent = waiting::list(session, Kind::Flash).map_err(failed)?;
+    let mut files = vec![];
+    for shot in &shots {
+        let (off, on) = calibration_frames(session, shot);
+        let held_out = order.held_out.contains(&shot.name);
+        files.push(CardFiles { plane: Plane::facing(shot.distance_m), on, off: Some(off), held_out });
+    }
+    for shot in &sent {
+        let (on, off) = waiting::card_frames(session, shot).map_err(failed)?;
+        // A card shot is not taken in without its distance.
+        let plane = Plane::facing(shot.distance_m.unwrap_or_default());
+        files.push(CardFiles { plane, on, off, held_out: order.held_out.contains(&shot.number.to_string()) });
+    }
+    let target = Target::lambertian(order.target_reflectance.unwrap_or(PAPER));
     let facts = CardFacts {
-        target: Target::lambertian(card.target_reflectance),
-        paper: false,
-        vignetting: None,
-        ring_radii: card.ring_radii,
-        focal_px: None,
+        paper: order.target_reflectance.is_none(),
+        focal_px: order.focal_px,
+        ..CardFacts::plain(target, order.ring_radii)
     };
-    let fit = flash::calibrate(session, &shots, &facts, progress).map_err(|error| match error {
+    let record = flash::calibrate(session, &files, &facts, progress).map_err(|error| match error {
         FlashError::Cancelled(_) => WorkError::Cancelled,
         other => WorkError::failed("calibration_failed", other),
     })?;
-    Ok(json!(fit))
+    if record.verdict.good {
+        guided::settle(session, Kind::Flash, sent.iter().map(|shot| shot.number)).map_err(failed)?;
+    }
+    Ok(json!(record))
+}
+
+fn calibrate(session: &Session, order: FitOrder, progress: &Progress) -> Result<Value, WorkError> {
+    guided::fit(session, &order, progress).map_err(|error| match progress.is_cancelled() {
+        true => WorkError::Cancelled,
+        false => WorkError::failed("calibration_failed", error),
+    })
 }
 
 fn import_scene(session: &Session, files: SceneFiles, progress: &Progress) -> Result<Value, WorkError> {

@@ -56,14 +56,21 @@ impl Space {
         self.xyz_from_rgb().inverse() * adapt(other.white_xyz(), self.white_xyz()) * other.xyz_from_rgb()
     }
 
-    /// Values in this space of camera RGB whose white is (1, 1, 1).
-    pub fn from_camera(&self, camera: &CameraColour) -> DMat3 {
-        let rows = camera.camera_from_xyz.map(DVec3::from);
-        let camera_from_xyz = DMat3::from_cols(rows[0], rows[1], rows[2]).transpose();
-        let white = xyz(camera.white);
-        let xyz_from_camera = camera_from_xyz.inverse() * DMat3::from_diagonal(camera_from_xyz * white);
-        self.xyz_from_rgb().inverse() * adapt(white, self.white_xyz()) * xyz_from_camera
+    /// Values in this space of XYZ under D50, where white is [`PCS_WHITE`].
+    pub fn from_pcs(&self) -> DMat3 {
+        self.xyz_from_rgb().inverse() * adapt(PCS_WHITE, self.white_xyz())
     }
+}
+
+/// What a maker's matrix says of its camera: what a white reads, green being 1, and XYZ under D50 of camera RGB in which
+/// white is (1, 1, 1).
+pub fn of_maker(camera: &CameraColour) -> (DVec3, DMat3) {
+    let rows = camera.camera_from_xyz.map(DVec3::from);
+    let camera_from_xyz = DMat3::from_cols(rows[0], rows[1], rows[2]).transpose();
+    let white = xyz(camera.white);
+    let read = camera_from_xyz * white;
+    let xyz_from_camera = camera_from_xyz.inverse() * DMat3::from_diagonal(read);
+    (read / read.y, adapt(white, PCS_WHITE) * xyz_from_camera)
 }
 
 /// Bradford's adaptation of XYZ from one white to another.
@@ -108,7 +115,9 @@ mod tests {
         for (row, gain) in rows.iter_mut().zip([0.52, 1.0, 0.68]) {
             row.iter_mut().for_each(|v| *v *= gain);
         }
-        let matrix = LINEAR_SRGB.from_camera(&camera(rows, [0.3127, 0.3290]));
+        let (read, xyz_from_camera) = of_maker(&camera(rows, [0.3127, 0.3290]));
+        let matrix = LINEAR_SRGB.from_pcs() * xyz_from_camera;
+        assert!((read / DVec3::new(0.52, 1.0, 0.68)).abs_diff_eq(DVec3::ONE, 2e-3), "{read}");
         assert!(matrix.abs_diff_eq(DMat3::IDENTITY, 2e-3), "{matrix}");
     }
 
@@ -120,7 +129,7 @@ mod tests {
         assert!(round.abs_diff_eq(DMat3::IDENTITY, 1e-12));
         for white in [[0.3127, 0.3290], [0.4476, 0.4074], [0.3457, 0.3585]] {
             for space in [LINEAR_SRGB, ACESCG] {
-                let matrix = space.from_camera(&camera(rows, white));
+                let matrix = space.from_pcs() * of_maker(&camera(rows, white)).1;
                 assert!((matrix * DVec3::ONE).abs_diff_eq(DVec3::ONE, 1e-12), "{} {white:?}", space.name);
             }
         }

@@ -4,7 +4,7 @@
 //! caller's business. All text is escaped. Pictures go in as PNG bytes and are embedded as data URLs (RFC 2397,
 //! RFC 4648).
 
-use super::chart::{self, Chart};
+use super::chart::{self, Chart, INK};
 use crate::codec::markup::escape;
 use std::fmt::Write as _;
 
@@ -90,35 +90,42 @@ img{display:block;width:100%;height:auto;border-radius:4px}\
 .scale{display:flex;align-items:center;gap:.6rem;margin-top:.5rem;font-size:.88em;color:var(--dim)}\
 .scale i{flex:1;height:.5rem;border-radius:2px}\
 .chart{display:block;width:100%;height:auto;font-size:12px}.chart text{fill:var(--dim)}.chart .grid{stroke:var(--line)}\
-.series{fill:#4a6fa5}.series .bar{stroke:#4a6fa5}.s1{fill:#c2703d}.s2{fill:#5e8c4a}\
+.chart .zero{stroke:var(--dim)}\
 @media(max-width:36rem){main{padding:2rem 1.1rem 3rem}dl{grid-template-columns:1fr;gap:0}dd{margin-bottom:.5rem}}\
 @media print{section{break-inside:avoid}main{padding:0}}";
 
 /// The report as HTML.
 pub fn html(report: &Report<'_>) -> String {
-    let mut out = String::new();
-    let title = escape(report.title);
-    out.push_str("<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n");
-    out.push_str("<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n");
-    put(&mut out, format_args!("<title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"));
-    put(&mut out, format_args!("<h1>{title}</h1>\n<p>{}</p>\n", escape(report.subtitle)));
+    let mut out = begun(report.title, report.subtitle, "");
     for section in &report.sections {
         put(&mut out, format_args!("<section>\n<h2>{}</h2>\n", escape(section.heading)));
-        for block in &section.blocks {
-            lay_out(&mut out, block);
-        }
+        section.blocks.iter().for_each(|block| lay_out(&mut out, block));
         out.push_str("</section>\n");
     }
-    out.push_str("</main>\n</body>\n</html>\n");
+    out.push_str(END);
     out
 }
+
+/// A page up to the line under its heading; [`END`] ends it. It is XML too, so that any reader of either can check it.
+pub(super) fn begun(title: &str, subtitle: &str, more_style: &str) -> String {
+    let mut out = String::new();
+    let title = escape(title);
+    out.push_str("<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n");
+    out.push_str("<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n");
+    put(&mut out, format_args!("<title>{title}</title>\n<style>{STYLE}{INK}{more_style}</style>\n"));
+    put(&mut out, format_args!("</head>\n<body>\n<main>\n<h1>{title}</h1>\n<p>{}</p>\n", escape(subtitle)));
+    out
+}
+
+/// What ends a page.
+pub(super) const END: &str = "</main>\n</body>\n</html>\n";
 
 /// Writing to a string cannot fail.
 pub(super) fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
     let _ = out.write_fmt(text);
 }
 
-fn lay_out(out: &mut String, block: &Block) {
+pub(super) fn lay_out(out: &mut String, block: &Block) {
     match block {
         Block::Text(text) => put(out, format_args!("<p>{}</p>\n", escape(text))),
         Block::Facts(facts) => {
@@ -163,7 +170,7 @@ fn lay_out(out: &mut String, block: &Block) {
 fn figure(out: &mut String, picture: &Picture) {
     let caption = escape(&picture.caption);
     let data = base64(&picture.png);
-    put(out, format_args!("<figure><img alt=\"{caption}\" src=\"data:image/png;base64,{data}\">\n"));
+    put(out, format_args!("<figure><img alt=\"{caption}\" src=\"data:image/png;base64,{data}\"/>\n"));
     if let Some(scale) = &picture.scale {
         let colours: Vec<String> =
             scale.colours.iter().map(|[r, g, b]| format!("rgb({r},{g},{b})")).collect();
@@ -181,7 +188,7 @@ fn figure(out: &mut String, picture: &Picture) {
 }
 
 /// RFC 4648, section 4, with padding.
-fn base64(bytes: &[u8]) -> String {
+pub(super) fn base64(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
     for group in bytes.chunks(3) {
@@ -242,7 +249,7 @@ mod tests {
 
     /// Names of the elements; fails where a tag is not closed by its own kind.
     fn elements(html: &str) -> Vec<String> {
-        const VOID: [&str; 3] = ["meta", "img", "!doctype"];
+        const VOID: [&str; 3] = ["meta", "img", "!DOCTYPE"];
         let (mut open, mut all): (Vec<String>, Vec<String>) = (vec![], vec![]);
         for tag in html.split('<').skip(1) {
             let (inside, _) = tag.split_once('>').expect("every tag ends");

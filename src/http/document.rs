@@ -4,6 +4,7 @@
 //! operation itself: whoever takes a body refuses bodies, whoever names a session may miss it, whoever queues a job
 //! may find the queue full. It is added here, once.
 
+use super::calibration_bodies::CalibrationKind;
 use super::pairing::COOKIE;
 use super::routes::pairs::FrameName;
 use super::sequence_bodies::SequenceWish;
@@ -25,7 +26,7 @@ use utoipa_axum::router::OpenApiRouter;
                        take is answered with 405 and `Allow`, a path that is not there with 404.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0")
     ),
-    components(schemas(FrameName, SequenceWish)),
+    components(schemas(CalibrationKind, FrameName, SequenceWish)),
     tags(
         (name = "capture", description = "Devices, sessions, pairs"),
         (name = "processing", description = "Scene, calibration, model, jobs"),

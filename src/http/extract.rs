@@ -1,5 +1,6 @@
 //! axum's extractors, with rejections as problems: path, query, a body that must be there, one that may be left out.
 
+use super::intake;
 use super::problem::Problem;
 use axum::body::Bytes;
 use axum::extract::{self, FromRequest, FromRequestParts, Request};
@@ -55,6 +56,26 @@ impl<T: DeserializeOwned + Default, S: Send + Sync> FromRequest<S> for Wishes<T>
         }
         let axum::Json(value) = axum::Json::from_bytes(&body)?;
         Ok(Self(value))
+    }
+}
+
+/// Wishes in JSON, which may be left out, or a form with files.
+pub(super) enum Either<T> {
+    /// JSON, or nothing.
+    Wishes(T),
+    /// Files.
+    Form(extract::Multipart),
+}
+
+impl<T: DeserializeOwned + Default, S: Send + Sync> FromRequest<S> for Either<T> {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
+        if intake::is_form(request.headers()) {
+            return Ok(Self::Form(extract::Multipart::from_request(request, state).await?));
+        }
+        let Wishes(wishes) = Wishes::from_request(request, state).await?;
+        Ok(Self::Wishes(wishes))
     }
 }
 

@@ -153,24 +153,3 @@ impl Default for RepeatabilityOrder {
         Self { shots: 40 }
     }
 }
-
-/// Where the calibration card stands.
-#[derive(Deserialize, Serialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub(super) struct CardShotOrder {
-    /// Distance from the lens to the card along the axis, metres.
-    #[schema(example = 1.0)]
-    pub(super) distance_m: f64,
-}
-
-/// What the flash calibration needs to know beside its shots.
-#[derive(Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub(super) struct FlashCalibrationOrder {
-    /// Reflectance of the card, 0..1.
-    #[schema(example = 0.94)]
-    pub(super) target_reflectance: f64,
-    /// Inner and outer radius of the ring lamp, metres.
-    #[schema(example = json!([0.035, 0.085]))]
-    pub(super) ring_radii: [f64; 2],
-}

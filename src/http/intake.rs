@@ -22,6 +22,8 @@ use tokio::time::{Instant, Sleep};
 
 /// Largest body of JSON in bytes; the largest that makes sense has some hundreds.
 const JSON_LIMIT: u64 = 64 * 1024;
+/// How files are sent.
+const FORM: &str = "multipart/form-data";
 /// Largest upload in bytes.
 pub(super) const UPLOAD_LIMIT: u64 = 1 << 30;
 
@@ -32,7 +34,21 @@ pub(super) async fn json(Extension(arrival): Extension<Arrival>, request: Reques
 
 /// Middleware of the routes that take files.
 pub(super) async fn upload(Extension(arrival): Extension<Arrival>, request: Request, next: Next) -> Response {
-    taken(arrival.patience, request, next, UPLOAD_LIMIT, "multipart/form-data").await
+    taken(arrival.patience, request, next, UPLOAD_LIMIT, FORM).await
+}
+
+/// Middleware of the routes that take either.
+pub(super) async fn either(arrival: Extension<Arrival>, request: Request, next: Next) -> Response {
+    match is_form(request.headers()) {
+        true => upload(arrival, request, next).await,
+        false => json(arrival, request, next).await,
+    }
+}
+
+/// Whether the body is a form with files.
+pub(super) fn is_form(headers: &HeaderMap) -> bool {
+    let given = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
+    given.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(FORM)
 }
 
 async fn taken(patience: Patience, request: Request, next: Next, limit: u64, kind: &str) -> Response {

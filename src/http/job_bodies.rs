@@ -21,8 +21,9 @@ pub(super) struct JobBody {
     id: u64,
     /// Where to ask for it.
     url: String,
-    /// `pair`, `develop`, `find_exposure`, `flash_shots`, `repeatability`, `calibrate_flash`, `import_scene`, `process` or
-    /// `verify`.
+    /// `pair`, `develop`, `find_exposure`, `flash_shots`, `calibration_shot`, `repeatability`, `calibrate_levels`,
+    /// `calibrate_noise`, `calibrate_exposure`, `calibrate_flat`, `calibrate_flash`, `calibrate_colour`, `import_scene`,
+    /// `process` or `verify`.
     #[schema(example = "pair")]
     kind: String,
     /// The session it is about.

@@ -7,6 +7,7 @@
 //! ask), `intake` (what bodies may be like), a handler.
 
 mod bodies;
+mod calibration_bodies;
 mod camera_bodies;
 mod caught;
 mod document;

@@ -1,9 +1,10 @@
-//! A scene's files on their way in: each part goes to the disk as it comes, into a folder that is removed with
-//! [`SceneFiles`], or at once where anything fails.
+//! A scene's files, or a calibration's frames, on their way in: each part goes to the disk as it comes, into a folder
+//! that is removed with [`SceneFiles`] or [`IncomingFrames`], or at once where anything fails.
 
 use super::problem::Problem;
 use super::routes::is_full;
-use crate::capture::SceneFiles;
+use crate::calibration::guide::Role;
+use crate::capture::{IncomingFrames, SceneFiles};
 use crate::session::store;
 use axum::extract::Multipart;
 use axum::extract::multipart::Field;
@@ -38,16 +39,13 @@ pub(super) async fn stage(mut form: Multipart, place: &Path) -> Result<SceneFile
         match part.name() {
             Some("cameras") => cameras.push(keep(part, &cameras_dir).await?),
             Some("mesh") => {
-                let own = folder.path().join(format!("mesh-{}", meshes.len()));
-                tokio::fs::create_dir(&own).await.map_err(refused)?;
+                let own = own_folder(&folder, &format!("mesh-{}", meshes.len())).await?;
                 meshes.push(keep(part, &own).await?);
             }
             Some("unit") => unit = text(part).await?,
             Some("scale") => {
                 let given = text(part).await?;
-                scale = given.trim().parse().map_err(|_| {
-                    Problem::bad_request("value_invalid", format!("scale is {given:?}, but must be a number"))
-                })?;
+                scale = given.trim().parse().map_err(|_| unfit("scale", &given, "a number"))?;
             }
             other => {
                 return Err(invalid(format!(
@@ -65,6 +63,58 @@ pub(super) async fn stage(mut form: Multipart, place: &Path) -> Result<SceneFile
         return Err(invalid("no part named mesh was sent"));
     }
     Ok(SceneFiles { folder, cameras, meshes, unit, scale })
+}
+
+/// Writes a calibration's frames to a folder of their own in `place`, each into one of its own, in their order.
+pub(super) async fn stage_frames(mut form: Multipart, place: &Path) -> Result<IncomingFrames, Problem> {
+    tokio::fs::create_dir_all(place).await.map_err(refused)?;
+    let folder =
+        tempfile::Builder::new().prefix(store::TEMPORARY_PREFIX).tempdir_in(place).map_err(refused)?;
+    let mut staged = IncomingFrames { folder, role: None, distance_m: None, frames: Vec::new(), off: None };
+    let mut left = MOST_PARTS;
+    while let Some(part) = form.next_field().await? {
+        left =
+            left.checked_sub(1).ok_or_else(|| invalid(format!("there are more than {MOST_PARTS} parts")))?;
+        match part.name() {
+            Some("file") => {
+                let own = own_folder(&staged.folder, &format!("file-{}", staged.frames.len())).await?;
+                staged.frames.push(keep(part, &own).await?);
+            }
+            Some("off") if staged.off.is_none() => {
+                let own = own_folder(&staged.folder, "off").await?;
+                staged.off = Some(keep(part, &own).await?);
+            }
+            Some("role") => {
+                let given = text(part).await?;
+                let role = serde_json::from_value::<Role>(given.trim().into());
+                staged.role = Some(role.map_err(|_| unfit("role", &given, "one that the guide names"))?);
+            }
+            Some("distance_m") => {
+                let given = text(part).await?;
+                let distance = given.trim().parse();
+                staged.distance_m = Some(distance.map_err(|_| unfit("distance_m", &given, "a number"))?);
+            }
+            other => {
+                return Err(invalid(format!(
+                    "part {other:?} is unknown or came twice; send file, and role, off and distance_m where they belong"
+                )));
+            }
+        }
+    }
+    match staged.frames.is_empty() {
+        true => Err(invalid("no part named file was sent")),
+        false => Ok(staged),
+    }
+}
+
+async fn own_folder(folder: &tempfile::TempDir, name: &str) -> Result<PathBuf, Problem> {
+    let own = folder.path().join(name);
+    tokio::fs::create_dir(&own).await.map_err(refused)?;
+    Ok(own)
+}
+
+fn unfit(part: &str, given: &str, wanted: &str) -> Problem {
+    Problem::bad_request("value_invalid", format!("{part} is {given:?}, but must be {wanted}"))
 }
 
 /// Writes one part under its own file name.
@@ -109,9 +159,7 @@ fn invalid(words: impl std::fmt::Display) -> Problem {
 /// The disk does not take it.
 fn refused(error: Error) -> Problem {
     if is_full(&error) {
-        let words = format!(
-            "the scene cannot be kept until it is imported: {error}; make room on the disk of the sessions"
-        );
+        let words = format!("the upload cannot be kept: {error}; make room on the disk of the sessions");
         return Problem::new(StatusCode::CONFLICT, "disk_full", words);
     }
     Problem::internal(error)

@@ -34,18 +34,18 @@ pub(super) fn differences(
     reasons
 }
 
-/// S_on / S_off of a plan. Without one the exposures should be equal: frames that differ are rejected for that,
-/// and their light is compared as it is.
-pub(super) fn room_ratio(plan: Option<&Plan>) -> f64 {
-    let room = |e: &Exposure| Nominal.room(e.shutter, e.aperture, e.iso);
+/// S_on / S_off of a plan, by this scale. Without a plan the exposures should be equal: frames that differ are rejected
+/// for that, and their light is compared as it is.
+pub(super) fn room_ratio(plan: Option<&Plan>, scale: &dyn ExposureScale) -> f64 {
+    let room = |e: &Exposure| scale.room(e.shutter, e.aperture, e.iso);
     plan.filter(|plan| plan.off != plan.on).map_or(1.0, |plan| room(&plan.on) / room(&plan.off))
 }
 
-/// ISO / N^2 of the lit frame, by which its flash light is scaled.
-pub(super) fn flash_gain(on: &Settings, plan: Option<&Plan>) -> Option<f64> {
+/// ISO / N^2 of the lit frame by this scale, by which its flash light is scaled.
+pub(super) fn flash_gain(on: &Settings, plan: Option<&Plan>, scale: &dyn ExposureScale) -> Option<f64> {
     match (on.aperture, on.iso, plan) {
-        (Some(aperture), Some(iso), _) => Some(Nominal.flash(aperture, iso)),
-        (_, _, plan) => plan.map(|p| Nominal.flash(p.on.aperture, p.on.iso)),
+        (Some(aperture), Some(iso), _) => Some(scale.flash(aperture, iso)),
+        (_, _, plan) => plan.map(|p| scale.flash(p.on.aperture, p.on.iso)),
     }
 }
 
@@ -171,7 +171,7 @@ mod tests {
         assert_eq!(reasons.len(), 1);
         assert!(reasons[0].sentence.contains("1/125 s in the unlit frame but 1/60 s in the plan"));
         assert_eq!(differences(&told(SLOW), &told(SLOW), Some(&plan), NAMES, &limits).len(), 1);
-        assert!((room_ratio(Some(&plan)) - 0.5).abs() < 1e-9);
+        assert!((room_ratio(Some(&plan), &Nominal) - 0.5).abs() < 1e-9);
     }
 
     #[test]

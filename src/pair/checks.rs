@@ -10,6 +10,7 @@ use super::plan::Plan;
 use super::stop::{EarlierStops, Stop};
 use super::{Reason, ReasonCode, Settings, agreement, light, motion, survey};
 use crate::photometry::Mosaic;
+use crate::photometry::apex::{ExposureScale, Nominal};
 use crate::photometry::inspect::Region;
 use std::collections::BTreeMap;
 
@@ -27,6 +28,8 @@ pub struct FrameView<'a> {
 pub struct Expected<'a> {
     /// The exposures that were asked for.
     pub plan: Option<&'a Plan>,
+    /// How light goes with the settings of this body; by what labels stand for without it.
+    pub scale: Option<&'a dyn ExposureScale>,
     /// Where the object is; without it, everywhere.
     pub region: Option<Region>,
     /// Signatures of earlier accepted pairs, from any stops.
@@ -104,7 +107,8 @@ pub fn judge_expecting(off: FrameView, on: FrameView, expected: &Expected, limit
     let region = if outside.is_some() { None } else { expected.region };
     reasons.extend(outside);
 
-    let scale = agreement::room_ratio(expected.plan) as f32;
+    let by = expected.scale.unwrap_or(&Nominal);
+    let scale = agreement::room_ratio(expected.plan, by) as f32;
     let survey = survey::survey(off.mosaic, on.mosaic, scale, region.unwrap_or(whole));
     reasons.extend(light::overexposed(&survey, limits, region.is_some()));
     if let Some(reason) = light::misfire(&survey, limits, region.is_some()) {
@@ -118,7 +122,7 @@ pub fn judge_expecting(off: FrameView, on: FrameView, expected: &Expected, limit
     let ambient =
         if moved.is_none() && same_settings { light::ambient_changed(&survey, limits) } else { None };
     let black = [off, on].map(|f| f.mosaic.levels.black.concat().into_iter().sum::<f32>() / 4.0);
-    let gain = agreement::flash_gain(on.settings, expected.plan);
+    let gain = agreement::flash_gain(on.settings, expected.plan, by);
     let stop = Stop::new(&survey.cells, black, scale, gain);
     // What moved, or was lit by another room, shows no flash light to compare.
     let comparable = same_settings && weak.is_none() && moved.is_none() && ambient.is_none();

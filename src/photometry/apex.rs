@@ -13,7 +13,7 @@ const ROUNDING: f64 = 0.1;
 const HALF_STOPS: [f64; 2] = [1.5, 3.0];
 
 /// How light becomes sensor values at given settings. The labels' nominal meaning unless a body was measured.
-pub trait ExposureScale {
+pub trait ExposureScale: std::fmt::Debug {
     /// Exposure time in seconds.
     fn time(&self, shutter: Seconds) -> f64;
     /// Light that the aperture lets through, 1 / N^2.

@@ -8,6 +8,7 @@ mod isolate;
 pub mod levels;
 mod mosaic;
 mod noise;
+pub mod preview;
 pub mod saturation;
 
 pub use demosaic::{Known, demosaic};

@@ -1,20 +1,20 @@
 //! One pair's files to its known light and the lamp that made it.
 
-use crate::calibration::{FlashCalibration, OtherRig};
+use crate::calibration::FlashCalibration;
+use crate::calibration::exposure::ScaleSource;
 use crate::codec::raw::RawError;
 use crate::pair::{PairRecord, Settings};
-use crate::photometry::apex::{ExposureScale, Nominal};
+use crate::photometry::apex::ExposureScale;
 use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{
     FlashGain, IsolateError, Known, KnownMosaic, NoiseModel, RoomLight, demosaic, isolate, isolate_mean,
 };
-use crate::pipeline::calibrate::exposure::SessionScale;
-use crate::pipeline::calibrate::noise::SessionNoise;
-use crate::pipeline::calibrate::{self, RecordError};
+use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::calibrate::noise::{self, SessionNoise};
 use crate::pipeline::levels;
+use crate::pipeline::scale::{RatioError, SessionScale, of_calibration};
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
-use crate::units::{FNumber, Iso};
 
 /// Why a pair could not be developed.
 #[derive(Debug, thiserror::Error)]
@@ -33,15 +33,13 @@ pub enum DevelopError {
         /// What is wrong.
         source: IsolateError,
     },
-    /// The room's light cannot be scaled.
-    #[error(
-        "pair {name}: only one of its two frames tells the {setting}, so that the room's light cannot be taken out; shoot it again with one setting for both"
-    )]
-    Lacking {
+    /// Its exposures cannot be scaled to each other or to the flash calibration's.
+    #[error("pair {name}: {source}")]
+    Ratio {
         /// Pair.
         name: String,
-        /// Which setting.
-        setting: &'static str,
+        /// Why.
+        source: RatioError,
     },
     /// The light cannot be compared with the calibration's.
     #[error(
@@ -52,16 +50,6 @@ pub enum DevelopError {
         name: String,
         /// Which setting.
         setting: &'static str,
-    },
-    /// The session's exposure table is another body's.
-    #[error(
-        "pair {name} needs the exposure table, since settings differ: {source}; run `unlit calibrate exposure` with the body that took the photos, or remove calibration/exposure.json"
-    )]
-    OtherBody {
-        /// Pair.
-        name: String,
-        /// What differs.
-        source: OtherRig,
     },
     /// The photo is of another size than its camera model.
     #[error(
@@ -108,8 +96,10 @@ pub(super) fn noise_of(
     settings: &Settings,
     calibration: &FlashCalibration,
 ) -> Result<SessionNoise, RecordError> {
-    let own = calibrate::noise::of(session, settings)?;
-    let (Some(from), Some(to)) = (calibration.iso.map(Iso), settings.iso) else { return Ok(own) };
+    let own = noise::of(session, settings)?;
+    let (Some(from), Some(to)) = (calibration.iso.map(crate::units::Iso), settings.iso) else {
+        return Ok(own);
+    };
     if own.model.is_some() || from == to {
         return Ok(own);
     }
@@ -130,11 +120,8 @@ pub(super) fn isolated_sites(
     let folder = session.pair_dir(pair);
     let read = |file: &str| levels::read(&folder.join(file), measured);
     let (on, off) = rayon::join(|| read(&pair.on.file), || read(&pair.off.file));
-    let table = SessionScale::load(session)?
-        .between(&pair.on.settings, &pair.off.settings)
-        .map_err(|source| DevelopError::OtherBody { name: pair.name.clone(), source })?;
-    let scale = exposure_ratio_by(&table, &pair.on.settings, &pair.off.settings)
-        .map_err(|setting| DevelopError::Lacking { name: pair.name.clone(), setting })?;
+    let scale = SessionScale::load(session)?;
+    let scale = room_ratio(&pair.name, &scale, [&pair.on.settings, &pair.off.settings])?;
     let (on, off) = (on?.mosaic, off?.mosaic);
     let unfit = |source| DevelopError::Isolate { name: pair.name.clone(), source };
     let mut further = pair.dark_frames().skip(1).peekable();
@@ -149,28 +136,22 @@ pub(super) fn isolated_sites(
     isolate_mean(&on, &room, scale as f32, noise).map_err(unfit)
 }
 
-/// The lamp as the pair's lit frame saw it: the room's light goes with t ISO / N^2, the flash's with ISO / N^2
-/// alone, because a flash is over before the shutter closes. `scale` is the session's.
+/// The room's light in a lit frame over that in an unlit one, by the session's scale; `name` is told in errors.
+pub(super) fn room_ratio(
+    name: &str,
+    scale: &SessionScale,
+    [on, off]: [&Settings; 2],
+) -> Result<f64, DevelopError> {
+    scale.room_ratio(on, off).map_err(|source| DevelopError::Ratio { name: name.to_owned(), source })
+}
+
+/// The lamp as the pair's lit frame saw it. `scale` is the session's.
 pub fn lamp(
     pair: &PairRecord,
     calibration: &FlashCalibration,
     scale: &SessionScale,
 ) -> Result<Lamp, DevelopError> {
-    let settings = &pair.on.settings;
-    let unknown = |setting| DevelopError::Unknown { name: pair.name.clone(), setting };
-    let ratio = |now: Option<f64>, then: Option<f64>, setting| match (now, then) {
-        (Some(now), Some(then)) => Ok(now / then),
-        (None, None) => Ok(1.0),
-        _ => Err(unknown(setting)),
-    };
-    let (iso, aperture) = (calibration.iso.map(Iso), calibration.aperture.map(FNumber));
-    let then = Settings { iso, aperture, shutter: settings.shutter, ..Settings::default() };
-    let table = scale
-        .between(settings, &then)
-        .map_err(|source| DevelopError::OtherBody { name: pair.name.clone(), source })?;
-    let (iso, aperture) = (|v| table.gain(Iso(v)), |v| table.aperture(FNumber(v)));
-    let gain = ratio(settings.iso.map(|s| iso(s.0)), calibration.iso.map(iso), "ISO")?
-        * ratio(settings.aperture.map(|n| aperture(n.0)), calibration.aperture.map(aperture), "aperture")?;
+    let (gain, _) = flash_ratio(&pair.name, &pair.on.settings, calibration, scale)?;
     Ok(Lamp {
         ring: calibration.ring,
         radiance: calibration.radiance.map(|r| r * gain),
@@ -178,47 +159,26 @@ pub fn lamp(
     })
 }
 
-/// S_on / S_off with S = t ISO / N^2, by what the labels stand for. What neither frame tells counts as equal; what one of them lacks is an error
-/// that names the setting.
-pub(crate) fn exposure_ratio(on: &Settings, off: &Settings) -> Result<f64, &'static str> {
-    exposure_ratio_by(&Nominal, on, off)
-}
-
-/// The same by a scale of a body's own.
-fn exposure_ratio_by(scale: &impl ExposureScale, on: &Settings, off: &Settings) -> Result<f64, &'static str> {
-    let ratio = |on: Option<f64>, off: Option<f64>, setting| match (on, off) {
-        (Some(on), Some(off)) => Ok(on / off),
+/// The flash's light at these settings over that at the calibration's, and where that comes from: the room's light goes
+/// with t ISO / N^2, the flash's with ISO / N^2 alone, because a flash is over before the shutter closes.
+pub(super) fn flash_ratio(
+    name: &str,
+    settings: &Settings,
+    calibration: &FlashCalibration,
+    scale: &SessionScale,
+) -> Result<(f64, ScaleSource), DevelopError> {
+    let unknown = |setting| DevelopError::Unknown { name: name.to_owned(), setting };
+    let ratio = |now: Option<f64>, then: Option<f64>, setting| match (now, then) {
+        (Some(now), Some(then)) => Ok(now / then),
         (None, None) => Ok(1.0),
-        _ => Err(setting),
+        _ => Err(unknown(setting)),
     };
-    let time = |s: &Settings| s.shutter.map(|v| scale.time(v));
-    let iso = |s: &Settings| s.iso.map(|v| scale.gain(v));
-    let aperture = |s: &Settings| s.aperture.map(|v| scale.aperture(v));
-    Ok(ratio(time(on), time(off), "shutter")?
-        * ratio(iso(on), iso(off), "ISO")?
-        * ratio(aperture(on), aperture(off), "aperture")?)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::units::Seconds;
-
-    #[test]
-    fn the_rooms_light_scales_with_time_iso_and_aperture_and_not_with_what_nobody_told() {
-        let on = Settings {
-            shutter: Some(Seconds(1.0 / 60.0)),
-            aperture: Some(FNumber(8.0)),
-            iso: Some(Iso(200.0)),
-            ..Settings::default()
-        };
-        // 1/60 and 1/125 are 2^-6 and 2^-7 s, f/8 and f/9 a third of a stop apart.
-        let off = Settings { shutter: Some(Seconds(1.0 / 125.0)), iso: Some(Iso(100.0)), ..on.clone() };
-        assert!((exposure_ratio(&on, &off).unwrap() - 4.0).abs() < 1e-9);
-        let closed = Settings { aperture: Some(FNumber(9.0)), ..off };
-        assert!((exposure_ratio(&on, &closed).unwrap() - 4.0 * 2f64.cbrt()).abs() < 1e-9);
-        let untold = Settings::default();
-        assert_eq!(exposure_ratio(&untold, &untold), Ok(1.0));
-        assert_eq!(exposure_ratio(&on, &Settings { shutter: None, ..on.clone() }), Err("shutter"));
-    }
+    let then = of_calibration(calibration, settings);
+    let table = scale
+        .between(settings, &then)
+        .map_err(|source| DevelopError::Ratio { name: name.to_owned(), source: source.into() })?;
+    let (iso, aperture) = (|v| table.gain(v), |v| table.aperture(v));
+    let gain = ratio(settings.iso.map(iso), then.iso.map(iso), "ISO")?
+        * ratio(settings.aperture.map(aperture), then.aperture.map(aperture), "aperture")?;
+    Ok((gain, table.source(settings, &then)))
 }

@@ -4,25 +4,28 @@
 //! files into a folder outside the session. Nothing is solved again, but per-view images are made where they are missing.
 //! Float formats hold every value as it is; 16-bit TIFF holds 0 to 1, and what it had to clip is counted and told.
 
+mod colour;
 mod write;
 
+use self::colour::{camera_colour, name, space, spread, transformed};
+use super::certify::{CertificateError, Standing};
+use super::colour::ColoursError;
 use super::output::up;
 use super::process::{ProcessError, ProcessSummary, stored};
 use super::scene::{self, SceneError};
 use super::uvs::{self, UvsError};
 use super::{flash, views};
+use crate::calibration::colour::rows;
 use crate::codec::asset::AssetError;
 use crate::codec::exr_image::{self, Exr};
 use crate::codec::png::PngError;
-use crate::codec::raw::RawError;
-use crate::codec::raw::colour::{self as raw_colour, CameraColour};
-use crate::export::colour::{ACESCG, LINEAR_SRGB, Space};
+use crate::export::colour::{ACESCG, LINEAR_SRGB};
 use crate::export::glb::GlbError;
 use crate::progress::{Cancelled, Progress};
 use crate::raster::{Image, Rgb};
 use crate::scene::Mesh;
 use crate::session::{Session, SessionError, store};
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DMat3, Vec3};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::borrow::Cow;
@@ -106,11 +109,11 @@ pub enum ExportError {
     Inside(PathBuf),
     /// No colour matrix.
     #[error(
-        "nothing is known of this camera's colours: neither {} nor the decoder's table has a matrix from XYZ to its RGB, \
-         so that sRGB and ACEScg cannot be made; use --colour camera, or convert the raws to DNG with a program that \
-         knows the camera and import those", .0.display()
+        "nothing is known of this camera's colours: no chart was shot, and neither its files nor the decoder's table have \
+         a matrix from XYZ to its RGB, so that sRGB and ACEScg cannot be made; shoot a chart (`unlit calibrate colour`), \
+         use --colour camera, or convert the raws to DNG with a program that knows the camera and import those"
     )]
-    NoColour(PathBuf),
+    NoColour,
     /// Session.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -120,9 +123,12 @@ pub enum ExportError {
     /// Texture coordinates.
     #[error(transparent)]
     Uvs(#[from] UvsError),
-    /// A photo's colour tags cannot be read.
+    /// The model's certificate.
     #[error(transparent)]
-    Raw(#[from] RawError),
+    Certificate(#[from] CertificateError),
+    /// The camera's colours.
+    #[error(transparent)]
+    Colours(#[from] ColoursError),
     /// A picture or mesh.
     #[error(transparent)]
     Asset(#[from] AssetError),
@@ -193,6 +199,8 @@ struct Model {
     colour: Colour,
     /// From camera RGB to the colours asked for; `None` for the camera's own.
     matrix: Option<DMat3>,
+    /// What is to be known of the colours.
+    colour_notes: Vec<String>,
     provenance: Value,
 }
 
@@ -220,19 +228,25 @@ impl Model {
             let found = format!("{} channels", counts.channels.len());
             return Err(ExportError::Unfit { path: folder.join("views.exr"), found, expected });
         }
-        let known = match colour {
-            Colour::Camera => None,
-            Colour::Srgb | Colour::AcesCg => Some(camera_colour(session, &summary)?),
+        let asked = space(colour).map(|space| camera_colour(session, &summary).map(|known| (space, known)));
+        let (known, matrix, colour_notes) = match asked.transpose()? {
+            None => (None, None, vec![]),
+            Some((space, (known, note))) => {
+                let words = format!("colours: {}", known.basis.words());
+                let matrix = known.to(&space);
+                (Some(known), Some(matrix), note.into_iter().chain([words]).collect())
+            }
         };
-        let matrix = known.and_then(|known| Some(space(colour)?.from_camera(&known)));
         let reflectance = match matrix {
             Some(matrix) => transformed(&reflectance, matrix),
             None => reflectance,
         };
-        let mut provenance = provenance(session, &summary);
+        let certificate = Standing::load(session)?;
+        let mut provenance = provenance(session, &summary, certificate.as_ref());
+        let basis = known.map(|known| known.basis);
         provenance["colour"] =
-            json!({ "space": name(colour), "camera": known, "from_camera": matrix.map(rows) });
-        Ok(Self { summary, mesh, up, folder, reflectance, counts, colour, matrix, provenance })
+            json!({ "space": name(colour), "basis": basis, "from_camera": matrix.map(|m| rows(&m)) });
+        Ok(Self { summary, mesh, up, folder, reflectance, counts, colour, matrix, colour_notes, provenance })
     }
 
     /// Standard deviations in the colours asked for.
@@ -256,6 +270,7 @@ impl Model {
 
     fn notes(&self, options: &ExportOptions) -> Vec<String> {
         let mut notes = self.summary.out_of_range.warnings();
+        notes.extend(self.colour_notes.iter().cloned());
         let display = options.formats.iter().any(|f| matches!(f, Format::Glb | Format::Obj));
         if display && options.colour == Colour::AcesCg {
             notes.push("GLB and PNG know sRGB alone: their colours are sRGB, not ACEScg".into());
@@ -279,7 +294,11 @@ fn read_rgb(path: &Path, side: usize) -> Result<Rgb, ExportError> {
 }
 
 /// Where a model came from and how far it can be trusted, for files that can carry it.
-pub(super) fn provenance(session: &Session, summary: &ProcessSummary) -> Value {
+pub(super) fn provenance(
+    session: &Session,
+    summary: &ProcessSummary,
+    certificate: Option<&Standing>,
+) -> Value {
     json!({
         "software": concat!("unlit ", env!("CARGO_PKG_VERSION")),
         "session": session.manifest().name,
@@ -294,45 +313,8 @@ pub(super) fn provenance(session: &Session, summary: &ProcessSummary) -> Value {
         "median_standard_deviation": summary.median_deviation,
         "mean_reflectance": summary.mean_reflectance,
         "out_of_range": summary.out_of_range,
+        "certificate": certificate.map(Standing::told),
         "method": "flash-only light over simulated ring-flash light with bounces, weighted least squares over views",
-    })
-}
-
-/// What is known of the camera's colours, from the first pair of the model.
-fn camera_colour(session: &Session, summary: &ProcessSummary) -> Result<CameraColour, ExportError> {
-    // All pairs of a session are one camera's; one file tells what the others do.
-    let pair = session.pairs()?.into_iter().find(|p| summary.used.contains(&p.name));
-    let pair = pair.ok_or_else(|| ExportError::NoColour(session.pairs_dir()))?;
-    let file = session.pair_dir(&*pair).join(&pair.on.file);
-    raw_colour::read(&file)?.ok_or(ExportError::NoColour(file))
-}
-
-fn space(colour: Colour) -> Option<Space> {
-    match colour {
-        Colour::Camera => None,
-        Colour::Srgb => Some(LINEAR_SRGB),
-        Colour::AcesCg => Some(ACESCG),
-    }
-}
-
-fn name(colour: Colour) -> &'static str {
-    space(colour).map_or("camera RGB, uncalibrated", |s| s.name)
-}
-
-fn rows(matrix: DMat3) -> [[f64; 3]; 3] {
-    matrix.transpose().to_cols_array_2d()
-}
-
-fn transformed(image: &Rgb, matrix: DMat3) -> Rgb {
-    image.map(|p| (matrix * DVec3::from(p.map(f64::from))).to_array().map(|v| v as f32))
-}
-
-/// Standard deviations after the transformation, the channels' errors taken as independent.
-fn spread(deviation: &Rgb, matrix: DMat3) -> Rgb {
-    let squares = DMat3::from_cols_array(&matrix.to_cols_array().map(|m| m * m));
-    deviation.map(|p| {
-        let variance = squares * DVec3::from(p.map(|s| f64::from(s).powi(2)));
-        variance.to_array().map(|v| v.sqrt() as f32)
     })
 }
 
@@ -364,16 +346,6 @@ fn clipped(image: &Image<[f32; 3]>, counted: impl Iterator<Item = bool>) -> [usi
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn deviations_follow_the_colours() {
-        let sd = Image::filled(1, 1, [0.03, 0.04, 0.0]);
-        let mixed = DMat3::from_cols_array(&[1.0, 0.0, 2.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
-        let spread = *spread(&sd, mixed).at(0, 0);
-        for (got, want) in spread.into_iter().zip([0.05, 0.04, 0.06]) {
-            assert!((got - want).abs() < 1e-6, "{spread:?}");
-        }
-    }
 
     #[test]
     fn clipped_values_are_counted_on_the_surface_alone() {

@@ -1,8 +1,11 @@
 //! Files to results, in stages keyed by the digest of their inputs.
 
 pub mod calibrate;
+pub mod certify;
+pub mod colour;
 pub mod cost;
 pub mod develop;
+mod dress;
 pub mod energy;
 pub mod evaluate;
 pub mod export;
@@ -15,8 +18,10 @@ pub mod pairs;
 pub mod photos;
 pub mod process;
 mod report;
+pub mod scale;
 pub mod scene;
 mod solve;
+pub mod standing;
 pub mod steadiness;
 pub mod stops;
 pub mod uvs;

@@ -1,16 +1,13 @@
-//! What a run leaves in `model/`: texture, deviations, views, model, summary and report.
+//! What solving leaves in `model/`: texture, deviations, views and summary.
 
 use super::process::{Inputs, ProcessError, ProcessSummary, io};
-use super::report::{self, Estimates, Told};
-use super::scene::SceneError;
 use super::uvs;
 use crate::codec::exr_image::{self, Exr, Meta};
-use crate::export::glb::{self, Colour, Model};
 use crate::raster::{Image, Rgb};
 use crate::reflectance::atlas;
 use crate::reflectance::range::OutOfRange;
 use crate::reflectance::texture::Texture;
-use crate::scene::{Camera, Scene};
+use crate::scene::Camera;
 use crate::session::{Session, store};
 use glam::Vec3;
 use std::os::unix::fs::PermissionsExt;
@@ -31,6 +28,7 @@ pub(super) fn summarise(inputs: &Inputs, texture: &Texture, size: usize) -> Proc
         used: inputs.matched.iter().map(|(p, _)| p.name.clone()).collect(),
         left_out: inputs.left_out.clone(),
         remarks: inputs.remarks.clone(),
+        scaled: inputs.scaled.clone(),
         texture_size: size,
         seen: seen as f64 / surface.max(1) as f64,
         median_deviation: deviations.get(seen / 2).map_or(0.0, |d| f64::from(*d)),
@@ -45,6 +43,7 @@ pub(super) fn summarise(inputs: &Inputs, texture: &Texture, size: usize) -> Proc
             .map(|(p, _)| p.name.clone())
             .zip(texture.gains.iter().copied())
             .collect(),
+        ratios: inputs.scale.ratios(inputs.matched.iter().map(|(p, _)| p.as_ref()), &inputs.calibration),
         blur: texture.blur,
         gloss: texture.bounces.gloss.clone(),
         costs: vec![],
@@ -58,13 +57,7 @@ pub(super) fn summarise(inputs: &Inputs, texture: &Texture, size: usize) -> Proc
     }
 }
 
-pub(super) fn write(
-    session: &Session,
-    scene: &Scene,
-    inputs: &Inputs,
-    texture: &Texture,
-    summary: &ProcessSummary,
-) -> Result<(), ProcessError> {
+pub(super) fn write(session: &Session, texture: &Texture) -> Result<(), ProcessError> {
     let model = session.model_dir();
     let meta = |what: &str| Meta {
         colour_space: Some("camera RGB, uncalibrated".into()),
@@ -99,27 +92,7 @@ pub(super) fn write(
             "Y: views that made up each texel; residual: how far their own means part, of 1; surface: 1 where the object is, 0 in the gutters; surface 1 and Y 0: not seen, filled",
         ),
     };
-    whole(&model.join("views.exr"), |to| exr_image::write(to, counts))?;
-    let Some(object) = scene.meshes.first() else { return Err(SceneError::NoMesh.into()) };
-    let glb = glb::encode(&Model {
-        mesh: object,
-        texture: &rho,
-        colour: Colour::Uncalibrated,
-        up: up(&scene.cameras),
-        provenance: super::export::provenance(session, summary),
-    })?;
-    let path = model.join("model.glb");
-    store::write_atomic(&path, &glb).map_err(io(&path))?;
-    let report = report::html(&Told {
-        manifest: &session.manifest(),
-        calibration: &inputs.calibration,
-        pairs: inputs.matched.iter().map(|(pair, _)| &**pair).collect(),
-        summary,
-        flash: &inputs.flash,
-        estimates: Estimates { size: (rho.width(), rho.height()), at: &|x, y| texture.estimate(x, y) },
-    })?;
-    let path = model.join("report.html");
-    store::write_atomic(&path, report.as_bytes()).map_err(io(&path))
+    whole(&model.join("views.exr"), |to| exr_image::write(to, counts))
 }
 
 /// Writes a file under a temporary name and gives it its own when it is whole.

@@ -5,15 +5,18 @@
 //! session's earlier pairs from the same stop. A pair that is there already (same name, same bytes) is passed
 //! over; a name that is there with other bytes is an error.
 
+use crate::calibration::exposure::ExposureTable;
 use crate::codec::{exif::settings as settings_of, raw};
 use crate::pair::order::Slot;
 use crate::pair::{
-    self, Drift, Expected, FrameView, Judgement, Limits, PairRecord, Plan, Reason, Settings, Verdict,
+    self, Drift, Expected, FrameView, Judgement, Limits, PairRecord, Plan, Reason, ReasonCode, Settings,
+    Verdict,
 };
 use crate::photometry::inspect::Region;
 use crate::photometry::levels::MeasuredLevels;
 use crate::pipeline::calibrate::RecordError;
 use crate::pipeline::levels;
+use crate::pipeline::scale::{RatioError, SessionScale};
 use crate::pipeline::stops::{Delivery, Earlier, EarlierError};
 use crate::progress::{Cancelled, Progress};
 use crate::session::{Commit, Manifest, More, NewFrame, NewPair, Prepared, Session, SessionError, store};
@@ -82,7 +85,7 @@ pub enum ImportError {
         /// What is wrong.
         source: serde_json::Error,
     },
-    /// The session's measured levels cannot be read.
+    /// A calibration of the session cannot be read.
     #[error(transparent)]
     Levels(#[from] RecordError),
     /// The session refused.
@@ -97,6 +100,7 @@ impl From<EarlierError> for ImportError {
     fn from(error: EarlierError) -> Self {
         match error {
             EarlierError::Session(error) => error.into(),
+            EarlierError::Record(error) => error.into(),
             EarlierError::Cancelled(cancelled) => cancelled.into(),
         }
     }
@@ -167,7 +171,7 @@ fn import_pair(
     let mut expected = earlier.expecting(&off_digest, &on_digest, None, Delivery::Files);
     expected.plan = manifest.plan.as_ref();
     expected.region = region_of(&manifest, &off_photo);
-    let Judgement { reasons, stop } = judge(&off_photo, &on_photo, &expected, limits);
+    let Judgement { reasons, stop } = judge(&off_photo, &on_photo, &expected, earlier.scale(), limits);
     // What cannot be decoded may still tell its settings.
     let settings = |photo: Result<raw::Photo, raw::RawError>, bytes: &[u8]| -> Settings {
         photo.map_or_else(|_| settings_of(bytes), |photo| photo.settings)
@@ -208,16 +212,32 @@ pub fn region_of(manifest: &Manifest, frame: &Result<raw::Photo, raw::RawError>)
     manifest.region.map(|window| window.sites(dn.width(), dn.height()))
 }
 
-/// Judges a pair by its two decoded files: what decoding says, else what the checks say. The one entry for pairs
-/// just shot and pairs that came in as files.
+/// Judges a pair by its two decoded files: what decoding says, else what the checks say, exposures scaled by the
+/// session's `scale`. The one entry for pairs just shot and pairs that came in as files.
 pub fn judge(
     off: &Result<raw::Photo, raw::RawError>,
     on: &Result<raw::Photo, raw::RawError>,
     expected: &Expected,
+    scale: &SessionScale,
     limits: &Limits,
 ) -> Judgement {
     match (off, on) {
-        (Ok(off), Ok(on)) => pair::judge_expecting(view(off), view(on), expected, limits),
+        (Ok(off), Ok(on)) => {
+            let (table, refused) = match scale.between(&on.settings, &off.settings) {
+                Ok(table) => (table, None),
+                Err(other) => (ExposureTable::default(), Some(RatioError::from(other))),
+            };
+            let expected = Expected { scale: Some(&table), ..*expected };
+            let mut judgement = pair::judge_expecting(view(off), view(on), &expected, limits);
+            // Such a pair cannot be processed either.
+            judgement.reasons.extend(refused.map(|why| Reason {
+                code: ReasonCode::SettingsChanged,
+                figure: 1.0,
+                limit: 0.0,
+                sentence: format!("The two frames cannot be scaled to each other: {why}."),
+            }));
+            judgement
+        }
         (off, on) => {
             let errors = [off, on].into_iter().filter_map(|p| p.as_ref().err());
             Judgement { reasons: errors.map(raw::RawError::reason).collect(), stop: None }

@@ -5,13 +5,13 @@
 //! by one factor.
 
 use super::calibrate::RecordError;
+use super::colour::{ColoursError, SessionColours};
 use super::develop::{DevelopError, isolated_sites};
 use super::export::refuse_inside;
 use super::levels;
 use super::scene::{self, SceneError};
 use crate::codec::asset::AssetError;
 use crate::codec::jpeg::{self, JpegError};
-use crate::codec::raw::colour as raw_colour;
 use crate::codec::tiff16::{self, Told};
 use crate::export::colour::LINEAR_SRGB;
 use crate::pair::{PairRecord, Settings, Verdict};
@@ -101,6 +101,9 @@ pub enum PhotosError {
     /// The measured levels.
     #[error(transparent)]
     Levels(#[from] RecordError),
+    /// The camera's colours.
+    #[error(transparent)]
+    Colours(#[from] ColoursError),
     /// A pair cannot be developed.
     #[error(transparent)]
     Develop(#[from] DevelopError),
@@ -145,7 +148,9 @@ pub fn export(
     }
     let (pairs, rejected): (Vec<_>, Vec<_>) =
         session.pairs()?.into_iter().partition(|pair| pair.verdict == Verdict::Accepted);
-    let Some(first) = pairs.first() else { return Err(PhotosError::NoPairs(session.path().to_owned())) };
+    if pairs.is_empty() {
+        return Err(PhotosError::NoPairs(session.path().to_owned()));
+    }
     let cameras = match scene::load_file(session) {
         Ok(file) => file.cameras,
         Err(SceneError::NoScene(_)) => vec![],
@@ -156,7 +161,9 @@ pub fn export(
         let names: Vec<&str> = rejected.iter().map(|pair| pair.name.as_str()).collect();
         exported.notes.push(format!("left out, because rejected: {}", names.join(", ")));
     }
-    let developer = Developer::new(session, first, options.light)?;
+    let taken: Vec<&PairRecord> = pairs.iter().map(|pair| &**pair).collect();
+    let developer = Developer::new(session, &taken, options.light)?;
+    exported.notes.extend(developer.note.clone());
     if developer.colour.is_none() {
         exported
             .notes
@@ -222,23 +229,18 @@ struct Developer<'a> {
     white: [f64; 3],
     /// Linear sRGB of the sensor's channels; `None` where nothing is known of its colours.
     colour: Option<DMat3>,
+    /// What is to be told of the colours.
+    note: Option<String>,
 }
 
 impl<'a> Developer<'a> {
-    fn new(session: &'a Session, first: &PairRecord, light: Light) -> Result<Self, PhotosError> {
-        let file = session.pair_dir(first).join(&first.on.file);
-        // All pairs of a session are one camera's; one file tells what the others do.
-        let known = raw_colour::read(&file).map_err(DevelopError::from)?;
-        let white = known.as_ref().map_or(DVec3::ONE, |known| {
-            let [x, y] = known.white;
-            let rows = known.camera_from_xyz.map(DVec3::from);
-            let white = DVec3::new(x / y, 1.0, (1.0 - x - y) / y);
-            let read = DVec3::from(rows.map(|row| row.dot(white)));
-            read / read.y
-        });
-        let balanced = |known| LINEAR_SRGB.from_camera(known) * DMat3::from_diagonal(white.recip());
-        let colour = known.as_ref().map(balanced).filter(|matrix| matrix.is_finite());
-        Ok(Self { session, measured: levels::load(session)?, light, white: white.to_array(), colour })
+    fn new(session: &'a Session, pairs: &[&PairRecord], light: Light) -> Result<Self, PhotosError> {
+        let SessionColours { matrix: known, note } = SessionColours::known(session, pairs)?;
+        let white = known.as_ref().map_or(DVec3::ONE, |known| DVec3::from_array(known.white));
+        let colour = known
+            .map(|known| known.to(&LINEAR_SRGB) * DMat3::from_diagonal(white.recip()))
+            .filter(|matrix| matrix.is_finite());
+        Ok(Self { session, measured: levels::load(session)?, light, white: white.to_array(), colour, note })
     }
 
     /// The photo, linear, in DN above black; what clipped is infinitely bright.

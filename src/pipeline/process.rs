@@ -1,6 +1,7 @@
 //! `process`: a session's accepted pairs to reflectance texture, deviations, view counts and model.
 
-use super::calibrate::exposure::SessionScale;
+use super::certify::CertificateError;
+use super::colour::{ColoursError, SessionColours};
 use super::cost::Cost;
 use super::develop::{DevelopError, noise_of};
 use super::energy::{self, EnergyError, FlashAccount};
@@ -8,9 +9,11 @@ use super::flash::{self, FlashError};
 use super::levels;
 use super::manifest::{StageManifest, digest};
 use super::memory::Needs;
+use super::scale::{Ratios, SessionScale};
 use super::scene::{self, SceneError};
-use super::{output, solve, uvs};
-use crate::calibration::{FlashCalibration, Record};
+use super::uvs::UvsError;
+use super::{dress, output, solve, uvs};
+use crate::calibration::FlashCalibration;
 use crate::codec::asset::AssetError;
 use crate::codec::png::PngError;
 use crate::export::glb::GlbError;
@@ -59,6 +62,9 @@ pub struct ProcessSummary {
     /// Which calibrations count only in part for these pairs, and why.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub remarks: Vec<String>,
+    /// What differs from the flash calibration and was scaled, a sentence each.
+    #[serde(default)]
+    pub scaled: Vec<String>,
     /// Side of the texture.
     pub texture_size: usize,
     /// Share of the object's texels that at least one view sees.
@@ -73,6 +79,9 @@ pub struct ProcessSummary {
     pub runs: Vec<Run>,
     /// Energy of each pair's pulse against the calibration's, by pair, as texture and measurement tell together.
     pub gains: BTreeMap<String, FlashGain>,
+    /// By what exposures were scaled to each other.
+    #[serde(default)]
+    pub ratios: Ratios,
     /// Standard deviation of the lens's blur by channel, pixels, as the photographs tell.
     pub blur: [f32; 3],
     /// Pieces that the texture was solved in, for want of memory for all views at once.
@@ -176,6 +185,15 @@ pub enum ProcessError {
     /// A preview in the report.
     #[error(transparent)]
     Preview(#[from] PngError),
+    /// The camera's colours.
+    #[error(transparent)]
+    Colours(#[from] ColoursError),
+    /// The model's certificate.
+    #[error(transparent)]
+    Certificate(#[from] CertificateError),
+    /// Made texture coordinates.
+    #[error(transparent)]
+    Uvs(#[from] UvsError),
     /// A derived file does not fit the scene.
     #[error("{} was made from another scene: delete it and process again", .0.display())]
     Stale(PathBuf),
@@ -215,17 +233,21 @@ pub(super) struct Inputs {
     pub(super) calibration: FlashCalibration,
     /// How light goes with the settings.
     pub(super) scale: SessionScale,
+    /// What a chart says of the camera's colours.
+    pub(super) colours: SessionColours,
     pub(super) scene: Scene,
     /// Accepted pairs with their cameras, by name.
     pub(super) matched: Vec<(Arc<PairRecord>, Camera)>,
     pub(super) left_out: Vec<LeftOut>,
     /// Which calibrations count only in part, and why.
     pub(super) remarks: Vec<String>,
+    /// What differs from the flash calibration and is scaled, in words.
+    pub(super) scaled: Vec<String>,
     /// The flash over the session.
     pub(super) flash: FlashAccount,
     /// Where the object's texture coordinates were asked to come from, and did.
     pub(super) uvs: (UvChoice, UvSource),
-    /// Digest of all of it.
+    /// Digest of all that the texture is made from.
     pub(super) key: String,
 }
 
@@ -255,6 +277,7 @@ pub fn process(
             summary
         }
     };
+    summary.up_to_date &= !dress::dress(session, &inputs, &summary, &key, &mut manifest)?;
     if options.views {
         summary.views = super::views::make(session, &inputs, &mut manifest, progress)?;
         summary.up_to_date &= summary.views.0 == 0;
@@ -262,19 +285,7 @@ pub fn process(
     Ok(summary)
 }
 
-/// Whether the model is missing, or was not made from what the session holds now. An error says that something is
-/// missing to make it from.
-pub fn is_due(session: &Session) -> Result<bool, ProcessError> {
-    let inputs = Inputs::read(session)?;
-    // At the last run's size and texture coordinates: other inputs make another key in any case.
-    Ok(!stored(session).is_some_and(|summary| {
-        let uvs = (summary.uv_choice, summary.uvs);
-        let key = texture_key(&inputs.key, summary.texture_size, &uvs);
-        StageManifest::load(session).is_done(session, "texture", &key)
-    }))
-}
-
-fn texture_key(inputs: &str, size: usize, uvs: &(UvChoice, UvSource)) -> String {
+pub(super) fn texture_key(inputs: &str, size: usize, uvs: &(UvChoice, UvSource)) -> String {
     digest(&[inputs.as_bytes(), &size.to_le_bytes(), format!("{uvs:?}").as_bytes()])
 }
 
@@ -284,7 +295,7 @@ pub fn stored(session: &Session) -> Option<ProcessSummary> {
 }
 
 fn outputs(uvs: &UvSource) -> Vec<String> {
-    ["reflectance.exr", "stddev.exr", "views.exr", "model.glb", "summary.json", "report.html"]
+    ["reflectance.exr", "stddev.exr", "views.exr", "summary.json"]
         .map(|name| format!("model/{name}"))
         .into_iter()
         .chain([super::views::PATCHES.to_owned()])
@@ -294,7 +305,7 @@ fn outputs(uvs: &UvSource) -> Vec<String> {
 
 impl Inputs {
     pub(super) fn read(session: &Session) -> Result<Self, ProcessError> {
-        let Record { fit: calibration, rig, .. } = flash::record(session)?;
+        let calibrated = flash::record(session)?;
         let scale = SessionScale::load(session).map_err(DevelopError::from)?;
         let flash = energy::account(session)?;
         let scene = scene::load(session)?;
@@ -313,8 +324,10 @@ impl Inputs {
         if matched.is_empty() {
             return Err(ProcessError::NoPairs(no_pairs(&left_out, &scene)));
         }
-        matched.iter().try_for_each(|(pair, _)| flash::holds_for(&rig, pair))?;
-        let remarks = remarks(session, &calibration, &matched)?;
+        let pairs: Vec<&PairRecord> = matched.iter().map(|(pair, _)| &**pair).collect();
+        let remarks = remarks(session, &calibrated.fit, &matched)?;
+        let scaled = flash::scaled_for(&calibrated, pairs.iter().copied(), &scale)?;
+        let colours = SessionColours::measured(session, &pairs)?;
         let mut parts: Vec<Vec<u8>> = vec![];
         for path in [flash::file(session), session.scene_dir().join("scene.json")] {
             parts.push(std::fs::read(&path).map_err(io(&path))?);
@@ -336,21 +349,14 @@ impl Inputs {
         // Gains come out of it, and the report tells all of it.
         parts.push(format!("{flash:?}").into_bytes());
         // The report and the summary tell of these too.
+        parts.extend(scaled.iter().map(|what| what.clone().into_bytes()));
         for left in &left_out {
             parts.push(format!("without {}: {}", left.name, left.why).into_bytes());
         }
         let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
-        Ok(Self {
-            calibration,
-            scale,
-            scene,
-            matched,
-            left_out,
-            remarks,
-            flash,
-            uvs: Default::default(),
-            key,
-        })
+        let calibration = calibrated.fit;
+        let uvs = Default::default();
+        Ok(Self { calibration, scale, colours, scene, matched, left_out, remarks, scaled, flash, uvs, key })
     }
 
     /// The energy of a pair's pulse against the calibration's.
@@ -398,8 +404,7 @@ fn solve_and_write(
     if let Some(object) = inputs.scene.meshes.first() {
         uvs::keep(session, object, &summary.uvs)?;
     }
-    summary.costs.clone_from(&costs.list);
-    output::write(session, &scene, inputs, &texture, &summary)?;
+    output::write(session, &texture)?;
     super::views::keep_patches(session, &texture.bounces.rho)?;
     costs.done("writing");
     summary.costs = costs.list;
@@ -446,5 +451,8 @@ mod tests {
         pair["more_off"] = serde_json::json!([frame("c")]);
         pair["after"] = serde_json::json!([frame("d"), frame("e")]);
         assert_eq!(of(&pair), "0001 a b c d e");
+        pair["order"] = serde_json::json!("off_on_crossed");
+        pair["crossed"] = frame("f");
+        assert_eq!(of(&pair), "0001 a b c d e", "nothing is made of a lit frame through a crossed polariser");
     }
 }

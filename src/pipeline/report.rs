@@ -1,8 +1,12 @@
 //! `model/report.html`: what a run made, from what, and how far to trust it.
 
+mod certificate;
+mod colour;
 mod flash;
 mod previews;
 
+use super::certify::Standing;
+use super::colour::SessionColours;
 use super::cost::Cost;
 use super::energy::FlashAccount;
 use super::process::ProcessSummary;
@@ -14,6 +18,7 @@ use crate::photometry::FlashGain;
 use crate::reflectance::robust::Lobe;
 use crate::reflectance::unwrap::UvSource;
 use crate::session::Manifest;
+pub(in crate::pipeline) use flash::repeatability;
 pub(super) use previews::Estimates;
 use previews::previews;
 
@@ -25,6 +30,8 @@ pub(super) struct Told<'a> {
     pub(super) pairs: Vec<&'a PairRecord>,
     pub(super) summary: &'a ProcessSummary,
     pub(super) flash: &'a FlashAccount,
+    pub(super) colours: &'a SessionColours,
+    pub(super) certificate: Option<&'a Standing>,
     pub(super) estimates: Estimates<'a>,
 }
 
@@ -41,6 +48,7 @@ pub(super) fn html(told: &Told<'_>) -> Result<String, PngError> {
     let sections = vec![
         Section { heading: "The texture", blocks: vec![Block::Pictures(previews(told.estimates)?)] },
         Section { heading: "Figures", blocks: figures(told) },
+        Section { heading: "Certificate", blocks: certificate::blocks(told.certificate) },
         Section { heading: "Camera and flash", blocks: rig(told) },
         Section { heading: "The flash over the session", blocks: flash::blocks(told.flash) },
         Section { heading: "Pairs", blocks: pairs(told.summary) },
@@ -85,12 +93,7 @@ fn figures(told: &Told<'_>) -> Vec<Block> {
     }
     let mut blocks = vec![
         Block::Facts(facts),
-        Block::Text(
-            "Reflectance runs from 0 to 1 and is linear. Colour space: camera RGB, uncalibrated. The channels are \
-             the camera's own, so colours are right only in relation to each other; no colour chart went into \
-             this."
-                .into(),
-        ),
+        Block::Text(format!("Reflectance runs from 0 to 1 and is linear. {}", colour::words(told.colours))),
         Block::Text(
             "Rendering programs expect diffuse colours between about 0.02 (charcoal) and 0.9 (fresh snow). Values \
              outside are kept as they were measured."
@@ -98,6 +101,7 @@ fn figures(told: &Told<'_>) -> Vec<Block> {
         ),
     ];
     blocks.extend(range.warnings().into_iter().map(Block::Text));
+    blocks.extend(summary.scaled.iter().map(|what| Block::Text(format!("Scaled: {what}."))));
     blocks
 }
 
@@ -164,6 +168,7 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
         let span = format!("{} to {}, the camera's clock", moment(first), moment(last));
         facts.push(fact("Photographed", span));
     }
+    facts.push(fact("Exposures scaled", told.summary.ratios.words()));
     let [a1, a2, a3] = fit.field.coefficients;
     let radiance = match fit.radiance_error {
         Some(error) => format!("{} DN, standard error {} DN", three(fit.radiance, 0), three(error, 0)),
@@ -234,6 +239,7 @@ fn files() -> Vec<Block> {
              saw it, it was filled.",
         ],
         ["summary.json", "The figures above, for programs."],
+        ["certificate.json", "Known patches against the texture, where there were any."],
     ];
     let rows = rows.into_iter().map(|row| row.map(str::to_owned).to_vec()).collect();
     vec![
@@ -246,16 +252,16 @@ fn files() -> Vec<Block> {
     ]
 }
 
-fn fact(name: &str, value: String) -> (String, String) {
+pub(in crate::pipeline) fn fact(name: &str, value: String) -> (String, String) {
     (name.to_owned(), value)
 }
 
 /// Date and minute of an ISO 8601 moment.
-fn moment(iso: &str) -> String {
+pub(in crate::pipeline) fn moment(iso: &str) -> String {
     iso.get(..16).unwrap_or(iso).replace('T', " ")
 }
 
-fn or_untold(text: String) -> String {
+pub(in crate::pipeline) fn or_untold(text: String) -> String {
     if text.is_empty() { "the files do not tell".into() } else { text }
 }
 
@@ -289,6 +295,7 @@ mod tests {
             plan: None,
             region: None,
             confirmed: Vec::new(),
+            lighting: Default::default(),
         };
         let calibration = FlashCalibration {
             ring: Ring::new(0.035, 0.085).unwrap(),
@@ -299,6 +306,7 @@ mod tests {
             target_reflectance: 0.94,
             iso: None,
             aperture: None,
+            focal_length_mm: None,
             energy_counts: None,
             cards: vec![CardResidual {
                 label: "card-far.dng".into(),
@@ -310,6 +318,7 @@ mod tests {
                 used: true,
                 left_out: None,
                 prediction_error: None,
+                prediction_half: None,
                 held_out: false,
             }],
             rms: 0.0037,
@@ -319,6 +328,7 @@ mod tests {
             used: vec!["0001".into()],
             remarks: vec![],
             left_out: vec![LeftOut { name: "0002".into(), why: "rejected: <the vase moved>".into() }],
+            scaled: vec!["pair 0001: shot at ISO 200".into()],
             texture_size: 640,
             seen: 0.875,
             median_deviation: 0.0123,
@@ -326,6 +336,7 @@ mod tests {
             rounds: vec![Round { mean_change: 0.002 }],
             runs: vec![],
             gains: Default::default(),
+            ratios: Default::default(),
             blur: [0.9; 3],
             gloss: vec![None],
             pieces: 1,
@@ -352,6 +363,8 @@ mod tests {
             pairs: vec![],
             summary: &summary,
             flash: &flash,
+            colours: &SessionColours::default(),
+            certificate: None,
             estimates: Estimates { size: (640, 4), at: &at },
         })
         .unwrap()
@@ -373,6 +386,8 @@ mod tests {
             "0.37 %",
             "card-far.dng",
             "rejected: &lt;the vase moved&gt;",
+            "no exposure table was measured",
+            "Scaled: pair 0001: shot at ISO 200.",
             "camera RGB, uncalibrated",
             "reflectance.exr",
         ] {

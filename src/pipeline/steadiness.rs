@@ -169,7 +169,7 @@ fn mean_light(frame: &Mosaic, known: &First) -> Option<([f64; 3], [f64; 3])> {
     Some((mean, error))
 }
 
-fn picture(found: &Steadiness) -> Chart {
+pub(super) fn picture(found: &Steadiness) -> Chart {
     let sensor = 100.0 * found.sensor_deviation;
     let points = |of: &dyn Fn(&SteadyShot) -> Option<f64>| {
         let frames = found.frames.iter().enumerate();

@@ -1,9 +1,12 @@
 //! What a session remembers of its pairs, so that later ones can be held against them.
 //!
 //! Signatures of the stops lie in `derived/stops/NNNN.json`, each with the digests of the two files it was made
-//! from, the first frame without flash and the lit one (a number has one accepted attempt at the most); one that is missing or stale is made again by decoding. Digests of all frames tell a frame that was
+//! from, the first frame without flash and the lit one (a number has one accepted attempt at the most), and of the exposure
+//! table that scaled them; one that is missing or stale is made again by decoding. Digests of all frames tell a frame that was
 //! delivered twice, the controller's counts a pulse that was weaker than usual.
 
+use super::calibrate::RecordError;
+use super::scale::SessionScale;
 use crate::codec::raw;
 use crate::pair::energy::median;
 use crate::pair::{
@@ -25,6 +28,9 @@ pub enum EarlierError {
     /// The session folder.
     #[error(transparent)]
     Session(#[from] SessionError),
+    /// The session's exposure table cannot be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
     /// Stopped on request.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
@@ -48,6 +54,8 @@ pub struct Earlier {
     stops: Vec<(StopKey, u32)>,
     files: BTreeMap<String, (Role, u32)>,
     energies: Vec<f64>,
+    /// How the signatures' light was scaled.
+    scale: SessionScale,
     /// The photodiode has seen a pulse of an accepted pair, measured or not.
     sees_light: bool,
 }
@@ -58,6 +66,9 @@ struct StopFile {
     method: u32,
     off: String,
     on: String,
+    /// Digest of the exposure table; empty without one.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    scale: String,
     /// `null` for frames too dark to know a stop by.
     stop: Option<Stop>,
 }
@@ -65,18 +76,19 @@ struct StopFile {
 impl Earlier {
     /// Remembers all pairs of a session; signatures that are missing are made from the originals and kept.
     pub fn load(session: &Session, progress: &Progress) -> Result<Self, EarlierError> {
-        let mut earlier = Self { folder: folder(session), ..Self::default() };
+        let scale = SessionScale::load(session)?;
+        let mut earlier = Self { folder: folder(session), scale, ..Self::default() };
         let pairs: Vec<_> = session.attempts()?.into_values().flatten().collect();
         for (done, record) in pairs.iter().enumerate() {
             progress.check()?;
             progress.report("recalling earlier pairs", done, pairs.len());
             let stop = match record.verdict {
                 Verdict::Rejected => None,
-                Verdict::Accepted => match read(session, record) {
+                Verdict::Accepted => match earlier.read(session, record) {
                     Some(known) => known,
                     None => {
-                        let stop = remade(session, record);
-                        write(session, record, &stop)?;
+                        let stop = earlier.remade(session, record);
+                        earlier.write(session, record, &stop)?;
                         stop
                     }
                 },
@@ -94,7 +106,7 @@ impl Earlier {
         stop: Option<Stop>,
     ) -> Result<(), SessionError> {
         if record.verdict == Verdict::Accepted {
-            write(session, record, &stop)?;
+            self.write(session, record, &stop)?;
         }
         self.note(record, stop);
         Ok(())
@@ -110,6 +122,16 @@ impl Earlier {
             self.energies.extend(record.flash.as_ref().and_then(FlashRecord::energy_counts));
             self.sees_light |= record.flash.as_ref().is_some_and(FlashRecord::saw_light);
         }
+    }
+
+    /// How light goes with the settings, as it did when the session was remembered.
+    pub fn scale(&self) -> &SessionScale {
+        &self.scale
+    }
+
+    /// Whether the session's exposure table is still the one by which its signatures were made.
+    pub fn is_by(&self, scale: &SessionScale) -> bool {
+        self.scale.told() == scale.told()
     }
 
     /// Whether the flash controller's photodiode has seen a pulse of an accepted pair.
@@ -176,46 +198,55 @@ fn file(session: &Session, record: &PairRecord) -> PathBuf {
     folder(session).join(file_name(record.number))
 }
 
-/// The signature kept of a pair; `None` if there is none of these two files by this method.
-fn read(session: &Session, record: &PairRecord) -> Option<Option<Stop>> {
-    // What cannot be read is made again, as everything in `derived`.
-    let bytes = std::fs::read(file(session, record)).ok()?;
-    let found: StopFile = serde_json::from_slice(&bytes).ok()?;
-    let fresh = found.method == METHOD && found.off == record.off.blake3 && found.on == record.on.blake3;
-    fresh.then_some(found.stop)
-}
+impl Earlier {
+    /// Of the exposure table; empty without one.
+    fn digest(&self) -> String {
+        self.scale.told().map(|told| store::digest(told.as_bytes())).unwrap_or_default()
+    }
 
-fn write(session: &Session, record: &PairRecord, stop: &Option<Stop>) -> Result<(), SessionError> {
-    let path = file(session, record);
-    let io = |path: &Path| {
-        let path = path.to_owned();
-        move |source| SessionError::Io { path, source }
-    };
-    std::fs::create_dir_all(folder(session)).map_err(io(&folder(session)))?;
-    let stored = StopFile {
-        method: METHOD,
-        off: record.off.blake3.clone(),
-        on: record.on.blake3.clone(),
-        stop: stop.clone(),
-    };
-    let bytes = serde_json::to_vec(&stored).map_err(|e| io(&path)(e.into()))?;
-    store::write_atomic(&path, &bytes).map_err(io(&path))
-}
+    /// The signature kept of a pair; `None` if there is none of these two files by this method.
+    fn read(&self, session: &Session, record: &PairRecord) -> Option<Option<Stop>> {
+        // What cannot be read is made again, as everything in `derived`.
+        let bytes = std::fs::read(file(session, record)).ok()?;
+        let found: StopFile = serde_json::from_slice(&bytes).ok()?;
+        let fresh = found.method == METHOD && found.off == record.off.blake3 && found.on == record.on.blake3;
+        (fresh && found.scale == self.digest()).then_some(found.stop)
+    }
 
-/// The signature out of a pair's originals.
-fn remade(session: &Session, record: &PairRecord) -> Option<Stop> {
-    // Saturation matters to nothing in a signature.
-    let read = |name: &str| raw::read(&session.pair_dir(record).join(name));
-    let (off, on) = rayon::join(|| read(&record.off.file), || read(&record.on.file));
-    match (off, on) {
-        (Ok(off), Ok(on)) => {
-            let plan = exposure(&off.settings).zip(exposure(&on.settings)).map(|(off, on)| Plan { off, on });
-            let expected = Expected { plan: plan.as_ref(), ..Expected::default() };
-            super::pairs::judge(&Ok(off), &Ok(on), &expected, &Limits::default()).stop
-        }
-        (Err(error), _) | (_, Err(error)) => {
-            tracing::warn!(pair = record.number, %error, "no later pair can be held against this one");
-            None
+    fn write(&self, session: &Session, record: &PairRecord, stop: &Option<Stop>) -> Result<(), SessionError> {
+        let path = file(session, record);
+        let io = |path: &Path| {
+            let path = path.to_owned();
+            move |source| SessionError::Io { path, source }
+        };
+        std::fs::create_dir_all(folder(session)).map_err(io(&folder(session)))?;
+        let stored = StopFile {
+            method: METHOD,
+            off: record.off.blake3.clone(),
+            on: record.on.blake3.clone(),
+            scale: self.digest(),
+            stop: stop.clone(),
+        };
+        let bytes = serde_json::to_vec(&stored).map_err(|e| io(&path)(e.into()))?;
+        store::write_atomic(&path, &bytes).map_err(io(&path))
+    }
+
+    /// The signature out of a pair's originals.
+    fn remade(&self, session: &Session, record: &PairRecord) -> Option<Stop> {
+        // Saturation matters to nothing in a signature.
+        let read = |name: &str| raw::read(&session.pair_dir(record).join(name));
+        let (off, on) = rayon::join(|| read(&record.off.file), || read(&record.on.file));
+        match (off, on) {
+            (Ok(off), Ok(on)) => {
+                let plan =
+                    exposure(&off.settings).zip(exposure(&on.settings)).map(|(off, on)| Plan { off, on });
+                let expected = Expected { plan: plan.as_ref(), ..Expected::default() };
+                super::pairs::judge(&Ok(off), &Ok(on), &expected, &self.scale, &Limits::default()).stop
+            }
+            (Err(error), _) | (_, Err(error)) => {
+                tracing::warn!(pair = record.number, %error, "no later pair can be held against this one");
+                None
+            }
         }
     }
 }

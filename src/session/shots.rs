@@ -11,6 +11,8 @@ pub const SHOT_STARTED: &str = "calibration_shot_started";
 pub const SHOT_STORED: &str = "calibration_shot_stored";
 /// The note of one of which nothing was stored, and why.
 pub const SHOT_ABANDONED: &str = "calibration_shot_abandoned";
+/// The note of one that is about to be removed on request.
+pub const SHOT_REMOVED: &str = "calibration_shot_removed";
 /// The note of one in whose middle the program ended. Written when the session is opened again.
 pub const SHOT_INTERRUPTED: &str = "calibration_shot_interrupted";
 
@@ -58,7 +60,7 @@ impl Session {
 /// The calibration shot of which an event tells: its name and what became of it.
 pub(super) fn told(event: &Event) -> Option<(&str, &str)> {
     let Event::Note { what, detail } = event else { return None };
-    let known = [SHOT_STARTED, SHOT_STORED, SHOT_ABANDONED, SHOT_INTERRUPTED];
+    let known = [SHOT_STARTED, SHOT_STORED, SHOT_ABANDONED, SHOT_REMOVED, SHOT_INTERRUPTED];
     let what = known.into_iter().find(|known| known == what)?;
     Some((detail.get("name")?.as_str()?, what))
 }

@@ -5,7 +5,7 @@
 mod kept;
 mod sequence;
 
-use super::shots::{self, SHOT_RECORD, SHOT_STORED};
+use super::shots::{self, SHOT_RECORD, SHOT_REMOVED, SHOT_STORED};
 use super::sidecars::is_sidecar;
 use super::{Event, JOURNAL, PAIR_RECORD, Session, journal, store};
 use crate::pair::{Attempt, FrameRecord, PairRecord};
@@ -285,7 +285,7 @@ impl Check<'_> {
         }
         let mut stored: BTreeMap<Attempt, &str> = BTreeMap::new();
         let own = |number: &u32, attempt: &u32| Attempt { number: *number, attempt: *attempt };
-        let mut begun = BTreeSet::new();
+        let (mut begun, mut cards) = (BTreeSet::new(), BTreeSet::new());
         for entry in &entries {
             match &entry.event {
                 Event::PairIntended { number, attempt, .. } => {
@@ -294,15 +294,18 @@ impl Check<'_> {
                 Event::PairCommitted { number, attempt, name, .. } => {
                     stored.insert(own(number, attempt), name);
                 }
-                event => {
-                    if let Some((name, SHOT_STORED)) = shots::told(event) {
-                        let folder = self.session.calibration_dir().join("flash").join(name);
-                        if !folder.is_dir() {
-                            let why = "this card shot was stored and is not there any more";
-                            self.tell(&folder, Damage::Missing, why);
-                        }
-                    }
-                }
+                event => match shots::told(event) {
+                    Some((name, SHOT_STORED)) => _ = cards.insert(name),
+                    Some((name, SHOT_REMOVED)) => _ = cards.remove(name),
+                    _ => {}
+                },
+            }
+        }
+        for name in cards {
+            let folder = self.session.calibration_dir().join("flash").join(name);
+            if !folder.is_dir() {
+                let why = "this card shot was stored and is not there any more";
+                self.tell(&folder, Damage::Missing, why);
             }
         }
         let names = folders.iter().filter_map(|folder| folder.file_name());

@@ -14,6 +14,7 @@ use unlit::capture::{Desk, Engine, Events, FlashKind, RigSource, Works};
 use unlit::http::{self, Door, StageOrder, StudioBody, StudioControl};
 use unlit::jobs::WorkError;
 use unlit::pair::Limits;
+use unlit::pipeline::calibrate::guided;
 use unlit::session::Session;
 
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
@@ -43,7 +44,10 @@ pub(crate) fn marking_works(processed: &Arc<AtomicU32>) -> Works {
         }),
         calibrate_flash: Arc::new(move |session, card, _| {
             std::fs::write(session.calibration_dir().join("flash.json"), b"{}").map_err(fail)?;
-            Ok(json!({ "shots": card.shots.len(), "ring_radii": card.ring_radii }))
+            Ok(json!({ "shots": card.shots.len(), "ring_radii": card.order.ring_radii }))
+        }),
+        calibrate: Arc::new(|session, order, progress| {
+            guided::fit(session, &order, progress).map_err(|e| WorkError::failed("calibration_failed", e))
         }),
         import_scene: Arc::new(move |session, files, _| {
             let read = |p: &PathBuf| std::fs::read_to_string(p).map_err(fail);

@@ -3,7 +3,12 @@
 use crate::raw::sample;
 use crate::samples::shared;
 use serde_json::Value;
+use std::path::Path;
 use std::process::{Command, Output};
+use unlit::codec::dng::{self, DngContent};
+use unlit::codec::raw;
+use unlit::photometry::Mosaic;
+use unlit::raster::Image;
 
 fn unlit(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap()
@@ -80,4 +85,59 @@ fn a_frame_without_a_chart_is_refused_and_nothing_is_kept() {
     let wrong = unlit(&["calibrate", "colour", path, &file, "--chart", "it8"]);
     assert_eq!(wrong.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&wrong.stderr).contains("spydercheckr24"));
+}
+
+/// The chart's frame as a DNG with some light of a room added, and the room's alone.
+fn with_room_light(folder: &Path) -> [String; 2] {
+    let photo = raw::read(&sample("tinydng_colorchart.dng")).unwrap();
+    let Mosaic { dn, cfa, levels } = photo.mosaic;
+    let (width, height) = (dn.width(), dn.height());
+    // Warmer and brighter to the right, far below saturation.
+    let room = |x: usize, y: usize| {
+        let colour = [0.9, 0.6, 0.3][cfa.colour(x, y)];
+        (400.0 * colour * (0.5 + x as f64 / width as f64)).round() as u16
+    };
+    let lit = Image::from_fn(width, height, |x, y| {
+        let value = *dn.at(x, y);
+        let room = if f32::from(value) >= levels.saturation[y & 1][x & 1] { 0 } else { room(x, y) };
+        value.saturating_add(room)
+    });
+    let unlit = Image::from_fn(width, height, |x, y| levels.black[y & 1][x & 1].round() as u16 + room(x, y));
+    [("on.dng", lit), ("off.dng", unlit)].map(|(name, dn)| {
+        let mosaic = Mosaic { dn, cfa, levels };
+        let content = DngContent { mosaic: &mosaic, settings: &photo.settings, masked_left: None };
+        let path = folder.join(name);
+        std::fs::write(&path, dng::encode(&content).unwrap()).unwrap();
+        path.display().to_string()
+    })
+}
+
+#[test]
+fn the_rooms_light_is_taken_off_by_a_second_raw_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = folder.path().join("s");
+    let path = session.to_str().unwrap();
+    said(&unlit(&["new", path]));
+    let [on, off] = with_room_light(folder.path());
+    let plain = sample("tinydng_colorchart.dng").display().to_string();
+    let record = |arguments: &[&str]| -> Value {
+        let all = [&["calibrate", "colour", path], arguments, &["--json"]].concat();
+        serde_json::from_str(&said(&unlit(&all))).unwrap()
+    };
+    let chart = ["--chart", "colorchecker24-before-2014"];
+    let dark = record(&[&[plain.as_str()], &chart[..]].concat());
+    let taken_off = record(&[&[on.as_str(), "--off", &off], &chart[..]].concat());
+    let left_on = record(&[&[on.as_str()], &chart[..]].concat());
+    assert_eq!(
+        (&taken_off["room_light_taken_off"], &left_on["room_light_taken_off"]),
+        (&true.into(), &false.into())
+    );
+    assert_eq!(taken_off["shots"].as_array().unwrap().len(), 2);
+    let mean = |record: &Value| record["leave_one_out"]["mean"].as_f64().unwrap();
+    println!("dark {}, room taken off {}, left on {}", mean(&dark), mean(&taken_off), mean(&left_on));
+    assert!((mean(&taken_off) - mean(&dark)).abs() < 0.1 && mean(&left_on) > mean(&dark) + 0.5);
+    let white = |record: &Value| rows(&Value::Array(vec![record["white_dn"].clone(); 3]))[0];
+    for (a, b) in white(&taken_off).into_iter().zip(white(&dark)) {
+        assert!((a / b - 1.0).abs() < 0.005, "{a} for {b}");
+    }
 }

@@ -27,6 +27,14 @@ fn files(folder: &str) -> Vec<String> {
     files
 }
 
+/// Light of one of the ladders' frames above black, all sites of it.
+fn whole_frame(name: &str) -> f64 {
+    let path = shared("scenes/birdbath/calibration/exposure").join(name);
+    let mosaic = unlit::codec::raw::read(&path).unwrap().mosaic;
+    let black = f64::from(mosaic.levels.black[0][0]);
+    mosaic.dn.pixels().iter().map(|dn| f64::from(*dn) - black).sum()
+}
+
 #[test]
 fn three_ladders_of_raws_give_every_deviation_within_three_per_mille() {
     let home = tempfile::tempdir().unwrap();
@@ -41,9 +49,11 @@ fn three_ladders_of_raws_give_every_deviation_within_three_per_mille() {
         all
     };
     let record: Value = serde_json::from_str(&unlit(&arguments(true))).unwrap();
+    let light = |setting: &str, step: usize| whole_frame(&format!("{setting}_{step:02}.dng"));
     let truth = std::fs::read(shared("scenes/birdbath/truth/scene.json")).unwrap();
     let truth: Value = serde_json::from_slice(&truth).unwrap();
-    let (mut worst, mut inside, mut all) = (0.0f64, 0, 0);
+    let number = |v: &Value| v.as_f64().unwrap() as usize;
+    let (mut worst, mut inside, mut all, mut whole) = (0.0f64, 0, 0, 0);
     for ladder in record["ladders"].as_array().unwrap() {
         let of_setting: Vec<&Value> = truth["calibration"]["exposure"]
             .as_array()
@@ -51,6 +61,7 @@ fn three_ladders_of_raws_give_every_deviation_within_three_per_mille() {
             .iter()
             .filter(|t| t["setting"] == ladder["setting"])
             .collect();
+        let setting = ladder["setting"].as_str().unwrap();
         let steps = ladder["steps"].as_array().unwrap();
         assert_eq!(steps.len(), of_setting.len(), "{}", ladder["setting"]);
         let zero = of_setting[0]["deviation"].as_f64().unwrap();
@@ -61,12 +72,21 @@ fn three_ladders_of_raws_give_every_deviation_within_three_per_mille() {
             worst = worst.max(error.abs());
             let ends: Vec<f64> =
                 step["deviation_95"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
+            // The whole frame, added up here anew: nothing hangs on which part of it is measured.
+            if step["frame_share"] == 1.0 {
+                let ratio = light(setting, number(&step["step_thirds"])) / light(setting, 0);
+                let ideal = (number(&step["step_thirds"]) as f64 / 3.0).exp2();
+                assert!((ratio / ideal - 1.0 - expected).abs() <= 0.003, "{setting}: {step}");
+                whole += 1;
+            }
             if step["step_thirds"] != 0.0 {
                 inside += i32::from(ends[0] <= expected && expected <= ends[1]);
                 all += 1;
             }
         }
     }
+    println!("{whole} of 57 steps over the whole frame");
+    assert!(whole >= 50, "{whole}");
     println!("worst error {:.4} %, {inside} of {all} truths inside their intervals", 100.0 * worst);
     assert_eq!(record["ladders"].as_array().unwrap().len(), 3);
     assert!(worst <= 0.003, "{worst}");

@@ -207,7 +207,7 @@ fn the_glb_is_read(out: &Path) {
     let extras: Value =
         serde_json::from_str(document.as_json().asset.extras.as_ref().unwrap().get()).unwrap();
     assert_eq!(extras["reflectance"], "linear sRGB");
-    assert_eq!(extras["provenance"]["colour"]["camera"]["source"], "file_tag");
+    assert_eq!(extras["provenance"]["colour"]["basis"]["camera"]["source"], "file_tag");
     assert_eq!(extras["provenance"]["pairs"], serde_json::json!(["000", "006", "012", "018"]));
     assert_eq!(extras["provenance"]["calibration"].as_str().unwrap().len(), 64);
     let texture = exr_image::read(&out.join("reflectance.exr")).unwrap().rgb().unwrap();

@@ -16,6 +16,7 @@ pub(crate) fn desk(folder: &Path) -> std::io::Result<Desk> {
     let works = Works {
         process: Arc::new(|_, (), _| Ok(json!({}))),
         calibrate_flash: Arc::new(|_, _, _| Ok(json!({}))),
+        calibrate: Arc::new(|_, _, _| Ok(json!({}))),
         import_scene: Arc::new(|_, _, _| Ok(json!({}))),
         has_scene: Arc::new(|_| false),
         has_flash_calibration: Arc::new(|_| false),

@@ -51,6 +51,7 @@ fn pairs_posted_to_the_api_become_a_model_unaided() {
     assert!(score.by_view.len() >= PAIRS);
     let seen_by_the_cameras = score.by_view.iter().take(PAIRS);
     for view in seen_by_the_cameras {
+        println!("{view:?}");
         assert!(view.full.mean.abs() < 0.02 && view.full.standard_deviation < 0.08, "{view:?}");
     }
     a_pulse_of_more_energy_means_less_known_light(&session);
@@ -69,6 +70,7 @@ fn the_flash_is_told(daemon: &Daemon) {
     assert_eq!(account["reference"]["source"], "calibration");
     assert_eq!(account["repeatability"]["shots"], 10);
     for pulse in account["pulses"].as_array().unwrap() {
+        println!("{pulse}");
         assert!((figure(pulse, "gain") - 1.0).abs() < 0.02 && figure(pulse, "deviation") < 0.002, "{pulse}");
     }
     client.done(client.post("/sessions/job/process", json!({})).unwrap());
@@ -96,11 +98,20 @@ fn a_pulse_of_more_energy_means_less_known_light(session: &Session) {
     std::fs::write(&file, record.to_string()).unwrap();
     views();
     let after = ["0001", "0002"].map(|name| (known(name), gain(name)));
+    let account = unlit::pipeline::energy::account(session).unwrap();
+    let deviation = account.trend.pulses.iter().map(|pulse| pulse.deviation).fold(0.0, f64::max);
+    assert!(deviation > 0.0 && deviation < 2e-3, "{deviation}");
     for ((before, after), measured) in before.into_iter().zip(after).zip([1.25, 1.0]) {
         let taken = before.0 / after.0;
+        println!(
+            "known light over what it was: {taken:.5}; gains {} and {}; measured {measured}",
+            before.1, after.1
+        );
         assert!((taken / (after.1 / before.1) - 1.0).abs() < 1e-4, "{before:?} {after:?}");
-        // The photographs have a small say beside the measurement.
-        assert!((taken - measured).abs() < 2e-3, "{before:?} {after:?}");
+        // The photographs, which tell a pulse's energy to about 1 %, have their say beside the measurement: by the
+        // squares of both deviations. How well the photodiode measures in the simulation depends on the machine's load.
+        let say = 0.25 * (deviation / 0.007).powi(2);
+        assert!((taken - measured).abs() < say + 1e-4, "{before:?} {after:?} {deviation}");
     }
 }
 

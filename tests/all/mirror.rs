@@ -139,6 +139,8 @@ fn the_copy_is_a_session_that_holds_everything_that_cannot_be_made_again() {
     session.record(stored).unwrap();
     session.keep(&result, b"second").unwrap();
     session.keep(&session.scene_dir().join("originals/0123_a.obj"), b"v 0 0 0").unwrap();
+    let dark = format!("calibration/levels/{}_dark.dng", &unlit::session::store::digest(b"dark")[..8]);
+    session.keep(&session.path().join(&dark), b"dark").unwrap();
     session.set_region(None).unwrap();
     session.confirm(&["mirror_lock_up".into()]).unwrap();
     std::fs::write(session.derived_dir().join("large.f32"), b"can be made again").unwrap();
@@ -147,9 +149,13 @@ fn the_copy_is_a_session_that_holds_everything_that_cannot_be_made_again() {
     assert_eq!(status.state, MirrorState::InStep);
     let warning = status.warning.unwrap();
     assert!(warning.contains("same disk"), "{warning}");
-    for file in
-        ["session.json", "journal.jsonl", "calibration/flash.json", "calibration/flash/d01000_1/on.dng"]
-    {
+    for file in [
+        "session.json",
+        "journal.jsonl",
+        "calibration/flash.json",
+        "calibration/flash/d01000_1/on.dng",
+        &dark,
+    ] {
         let same = std::fs::read(session.path().join(file)).unwrap();
         assert_eq!(std::fs::read(place.copy().join(file)).unwrap(), same, "{file}");
     }

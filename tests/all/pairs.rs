@@ -6,6 +6,7 @@ use std::process::{Command, Output};
 use unlit::codec::raw;
 use unlit::pair::{Expected, Judgement, Limits, Reason, ReasonCode, Stop, Verdict};
 use unlit::pipeline::pairs::{self, ImportError};
+use unlit::pipeline::scale::SessionScale;
 use unlit::progress::Progress;
 use unlit::session::{Session, SessionError};
 
@@ -16,7 +17,8 @@ fn birdbath(relative: &str) -> PathBuf {
 fn judged_against(earlier: &[Stop], off: &str, on: &str) -> Judgement {
     let earlier = earlier.to_vec();
     let expected = Expected { earlier: Some(&earlier), ..Expected::default() };
-    pairs::judge(&raw::read(&birdbath(off)), &raw::read(&birdbath(on)), &expected, &Limits::default())
+    let (off, on) = (raw::read(&birdbath(off)), raw::read(&birdbath(on)));
+    pairs::judge(&off, &on, &expected, &SessionScale::default(), &Limits::default())
 }
 
 fn judged(off: &str, on: &str) -> Vec<Reason> {

@@ -3,6 +3,7 @@
 
 use crate::camera::{program, rig};
 use crate::wall::{Exposures, Wall};
+use serde_json::json;
 use std::sync::Arc;
 use std::time::Duration;
 use tempfile::TempDir;
@@ -110,6 +111,24 @@ fn autofocus_refuses_pairs_until_the_switch_is_moved() {
     let error = house.pair().unwrap_err();
     assert_eq!(error.code(), "camera_not_locked", "{error}");
     house.server.switch_focus(Focus::Manual);
+    assert_eq!(house.pair().unwrap().verdict, Verdict::Accepted);
+}
+
+#[test]
+fn a_search_by_the_exposure_table_of_another_body_is_refused_and_leaves_the_plan() {
+    let house = House::with(&BodyOptions::default());
+    let table = json!({
+        "schema": 1, "measured": "2026-11-23T10:00:00Z", "software": "unlit", "rig": { "model": "Fake 2" },
+        "shots": [], "verdict": { "good": true, "sentences": [] }, "ladders": [],
+    });
+    let path = house.session.path().join("calibration/exposure.json");
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(path, table.to_string()).unwrap();
+    let search = house.engine.find_exposure(&house.session, ExposureWish::default(), &Progress::silent());
+    let error = search.unwrap_err();
+    assert_eq!(error.code(), "exposure_table_of_another_body", "{error}");
+    assert!(error.to_string().contains("\"Fake 2\"") && house.session.manifest().plan.is_none(), "{error}");
+    // Pairs of one exposure need no table.
     assert_eq!(house.pair().unwrap().verdict, Verdict::Accepted);
 }
 

@@ -1,3 +1,4 @@
+import { Calibration } from "./Calibration";
 import { Devices } from "./Devices";
 import { Exposure } from "./Exposure";
 import { Flash } from "./Flash";
@@ -61,6 +62,7 @@ export function App() {
           <Exposure live={live} />
           <Jobs live={live} />
         </aside>
+        <Calibration live={live} />
         <Pairs live={live} />
       </main>
     </>

@@ -3,7 +3,7 @@ import type { Live } from "./live";
 import { jobState, jobTitle, words } from "./words";
 
 /** Kinds that are shown where they are asked for. */
-const ELSEWHERE = ["pair", "develop", "find_exposure"];
+const ELSEWHERE = ["pair", "develop", "find_exposure", "calibration_shot"];
 
 export function Jobs({ live }: { live: Live }) {
   const session = live.session;

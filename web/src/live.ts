@@ -27,13 +27,15 @@ export interface Live {
   /** What is being done about a device that failed during the work that runs. */
   recovery: string | null;
   troubles: string[];
+  /** Grows whenever a calibration or its shots change. */
+  calibrated: number;
   /** Runs a call; its error, if any, is shown in words. */
   attempt: <T>(call: Promise<T>) => Promise<T | undefined>;
   dismiss: () => void;
 }
 
 /** Jobs that use camera and flash, which only one can at a time. */
-const RIG = ["pair", "flash_shots", "find_exposure", "repeatability"];
+const RIG = ["pair", "flash_shots", "calibration_shot", "find_exposure", "repeatability"];
 
 /** How often a second copy that is behind is looked at: that it fails or is in step again is told, how far it is not. */
 const BEHIND_MS = 2000;
@@ -52,6 +54,7 @@ export function useLive(): Live {
   const [pairs, setPairs] = useState<Pair[]>([]);
   const [troubles, setTroubles] = useState<string[]>([]);
   const [recovery, setRecovery] = useState<string | null>(null);
+  const [calibrated, setCalibrated] = useState(0);
   const current = useRef<string | null>(null);
   // Answers to older questions that come late are dropped.
   const asked = useRef(0);
@@ -108,6 +111,7 @@ export function useLive(): Live {
       setConnected(true);
       setState(snapshot);
       setRecovery(null);
+      setCalibrated((n) => n + 1);
       void load(snapshot.session);
     });
     on<Told<Devices>>("devices", (told) => change({ devices: told.data }));
@@ -131,6 +135,7 @@ export function useLive(): Live {
       if (data.session !== current.current) return;
       setSession((before) => before && { ...before, mirror: { state: data.mirror.state, words } });
     });
+    for (const topic of ["calibration", "calibration_shot"]) on(topic, () => setCalibrated((n) => n + 1));
     on<Told<null>>("trouble", (told) => trouble(told.words));
     on<Told<Job>>("job", ({ data: job }) => {
       setState(
@@ -148,5 +153,5 @@ export function useLive(): Live {
   const jobs = [...(state?.jobs ?? [])].sort((a, b) => b.id - a.id);
   const rigJob = jobs.find((job) => RIG.includes(job.kind) && isActive(job)) ?? null;
   const dismiss = () => setTroubles([]);
-  return { connected, state, session, pairs, jobs, rigJob, recovery, troubles, attempt, dismiss };
+  return { connected, state, session, pairs, jobs, rigJob, recovery, troubles, calibrated, attempt, dismiss };
 }

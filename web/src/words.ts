@@ -144,7 +144,13 @@ function figures(value: number): string {
 const kinds: Record<string, string> = {
   pair: "Taking a pair",
   flash_shots: "Calibration shots",
+  calibration_shot: "Calibration frame",
+  calibrate_levels: "Measuring the sensor's levels",
+  calibrate_noise: "Measuring noise and linearity",
+  calibrate_exposure: "Measuring the exposure steps",
+  calibrate_flat: "Measuring the vignetting",
   calibrate_flash: "Calibrating the flash",
+  calibrate_colour: "Measuring the colours",
   import_scene: "Importing the scene",
   develop: "Developing the pair",
   process: "Making the model",

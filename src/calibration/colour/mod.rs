@@ -21,7 +21,7 @@ pub use charts::{COLUMNS, ChartKind, PATCHES, ROWS, UnknownChart};
 pub use cielab::{Lab, delta_e_2000, delta_e_2000_plain, lab, xyz};
 pub use find::{Found, between, find};
 pub use overlay::overlay;
-pub use plane::measured_corners;
+pub use plane::{image_from_corners, measured_corners};
 pub use sites::{ChartFrame, FramesDiffer, Reading};
 pub use standards::Standards;
 pub use summary::Differences;

@@ -42,6 +42,21 @@ pub(super) fn chart_corners() -> [DVec2; 4] {
     ]
 }
 
+/// From the chart's plane to a picture in which the outer corners of its corner patches lie there: the first patch's, then
+/// on along the first row and round; `None` where they are no quadrangle.
+pub fn image_from_corners(corners: [DVec2; 4]) -> Option<DMat3> {
+    let turn = |k: usize| {
+        let [a, b, c] = [0, 1, 2].map(|step| corners[(k + step) % 4]);
+        (b - a).perp_dot(c - b)
+    };
+    let turns = [0, 1, 2, 3].map(turn);
+    if !(turns.iter().all(|t| *t > 0.0) || turns.iter().all(|t| *t < 0.0)) {
+        return None;
+    }
+    let pairs: Vec<(DVec2, DVec2)> = chart_corners().into_iter().zip(corners).collect();
+    homography(&pairs)
+}
+
 /// Homography that takes each first point to its second, by least squares; `None` for fewer than four pairs, or where
 /// they lie in a line or no plane seen from before it can look so.
 pub(super) fn homography(pairs: &[(DVec2, DVec2)]) -> Option<DMat3> {
@@ -95,6 +110,10 @@ mod tests {
                 (0..24).map(|k| project(&found, patch_centre(k)).distance(project(&truth, patch_centre(k))));
             assert!(off.fold(0.0, f64::max) < 1e-6, "{found}");
         }
+        let corners = chart_corners().map(|p| project(&truth, p));
+        let found = image_from_corners(corners).unwrap();
+        let off = measured_corners(&found, 17)[2].distance(measured_corners(&truth, 17)[2]);
+        assert!(off < 1e-6 && image_from_corners([DVec2::ONE; 4]).is_none(), "{off}");
         let line: Vec<_> = (0..6).map(|k| (patch_centre(k), project(&truth, patch_centre(k)))).collect();
         assert!(homography(&line).is_none() && homography(&[]).is_none());
     }

@@ -3,7 +3,8 @@
 //! Both judge CIEDE2000 with S_L = 1. ISO 19264-1:2021: mean and largest difference, levels A, B and C. FADGI,
 //! "Technical Guidelines for Digitizing Cultural Heritage Materials", third edition, 2023: mean and 90th percentile, one
 //! to four stars. The limits were taken from a published comparison of the two (skandalski.pl,
-//! "FADGI/ISO/Metamorfoze"), in which ISO's levels B and C have the same limits for colour. Both standards ask for
+//! "FADGI/ISO/Metamorfoze"), in which ISO's levels B and C have the same limits for colour; a second source agrees on
+//! FADGI's 4, 3 and 2 stars, the standards' own texts were not at hand (docs/calibration-colour.md). Both standards ask for
 //! more than colour and for charts of more patches: a level here is that of the colours of this chart alone.
 
 use super::summary::Differences;

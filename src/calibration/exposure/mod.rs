@@ -25,11 +25,12 @@ mod ladder;
 mod table;
 #[cfg(test)]
 mod tests;
+mod words;
 
 pub use ladder::Setting;
 pub use table::{ExposureTable, ScaleSource};
+pub use words::verdict;
 
-use super::Verdict;
 use super::linear::t_975;
 use super::tiles::{EvenFrame, Tiles};
 use crate::pair::Settings;
@@ -40,10 +41,6 @@ use std::collections::{BTreeMap, BTreeSet};
 const LEAST_FRAME: f64 = 0.02;
 /// Largest relative standard error of a shot's light for it to count.
 const MOST_ERROR: f64 = 0.01;
-/// A deviation beyond half a third of a stop is no tolerance of a camera.
-const HALF_STEP: f64 = 0.122;
-/// Pattern over the frame that is worth a word, relative.
-const PATTERN: f64 = 0.005;
 /// 97.5 % quantile of the normal distribution.
 const Z: f64 = 1.959_964;
 
@@ -83,6 +80,9 @@ pub struct Step {
     pub deviation_95: [f64; 2],
     /// Shots that it is the mean of.
     pub shots: usize,
+    /// Which they are: places in the order given, from 0.
+    #[serde(default)]
+    pub shot_numbers: Vec<usize>,
     /// Share of tiles and colours that were compared with step 00, 0 to 1.
     pub frame_share: f64,
     /// How much the pattern of light over the frame differs from step 00's, beyond noise; relative, one standard
@@ -99,6 +99,8 @@ pub struct Ladder {
     pub shared: BTreeMap<Setting, f64>,
     /// From the darkest up.
     pub steps: Vec<Step>,
+    /// Mean light of step 00 above black, DN.
+    pub step_00_dn: f64,
     /// Scatter of shots of one label beyond noise, relative; absent if none was shot twice.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeat_sd: Option<f64>,
@@ -228,7 +230,7 @@ struct Raw {
     factor: f64,
     /// Relative variance by noise alone.
     noise: f64,
-    shots: usize,
+    shots: Vec<usize>,
     frame_share: f64,
     pattern_sd: f64,
 }
@@ -242,9 +244,9 @@ fn measure(found: &ladder::Found, shots: &[EvenFrame]) -> Option<Ladder> {
     }
     let base: Vec<&EvenFrame> = steps.values().next()?.iter().map(|&s| &shots[s]).collect();
     let (mut raw, mut scatter, mut freedom) = (vec![], 0.0, 0usize);
-    for (number, own) in steps.values().enumerate() {
-        let label = label(*own.first()?)?;
-        let own: Vec<&EvenFrame> = own.iter().map(|&s| &shots[s]).collect();
+    for (number, numbers) in steps.values().enumerate() {
+        let label = label(*numbers.first()?)?;
+        let own: Vec<&EvenFrame> = numbers.iter().map(|&s| &shots[s]).collect();
         let over = shared_tiles(&[base.clone(), own.clone()].concat());
         let all = own.first()?.tiles.tiles.len() as f64 * 3.0;
         let lights: Vec<Light> = own.iter().map(|shot| light(shot, &over)).collect();
@@ -269,7 +271,7 @@ fn measure(found: &ladder::Found, shots: &[EvenFrame]) -> Option<Ladder> {
             stops: setting.stops(label),
             factor: if first { 1.0 } else { bright / dark_mean },
             noise: if first { 0.0 } else { noise(&lights) + noise(&dark) },
-            shots: own.len(),
+            shots: numbers.clone(),
             frame_share: over.len() as f64 / all,
             pattern_sd: if first { 0.0 } else { pattern(&own, &base, &over, bright / dark_mean) },
         });
@@ -277,6 +279,9 @@ fn measure(found: &ladder::Found, shots: &[EvenFrame]) -> Option<Ladder> {
     if raw.len() < 2 {
         return None;
     }
+    let own = shared_tiles(&base);
+    let sites: f64 = own.iter().map(|(_, _, weight)| weight).sum();
+    let step_00 = base.iter().map(|shot| light(shot, &own).sum).sum::<f64>() / base.len() as f64;
     let scatter = (freedom > 0).then(|| (scatter / freedom as f64).max(0.0));
     let steps = steps_of(&raw, scatter, freedom);
     let thirds = |a: &Raw, b: &Raw| b.factor / a.factor / (b.stops - a.stops).exp2() - 1.0;
@@ -286,6 +291,7 @@ fn measure(found: &ladder::Found, shots: &[EvenFrame]) -> Option<Ladder> {
     Some(Ladder {
         setting,
         shared,
+        step_00_dn: step_00 / sites,
         repeat_sd: scatter.map(f64::sqrt),
         summary: summary(&steps.iter().skip(1).map(|step| step.deviation).collect::<Vec<_>>()),
         between_steps: summary(&between),
@@ -299,7 +305,7 @@ fn steps_of(raw: &[Raw], scatter: Option<f64>, freedom: usize) -> Vec<Step> {
     let step = |own: &Raw| {
         let stops = own.stops - base.stops;
         let ratio = own.factor / stops.exp2();
-        let count = 1.0 / own.shots as f64 + 1.0 / base.shots as f64;
+        let count = 1.0 / own.shots.len() as f64 + 1.0 / base.shots.len() as f64;
         let first = stops == 0.0;
         let repeat = if first { 0.0 } else { scatter.unwrap_or(0.0) * count };
         let half = ratio * (Z * Z * own.noise + t * t * repeat).sqrt();
@@ -309,7 +315,8 @@ fn steps_of(raw: &[Raw], scatter: Option<f64>, freedom: usize) -> Vec<Step> {
             factor: own.factor,
             deviation: ratio - 1.0,
             deviation_95: [ratio - 1.0 - half, ratio - 1.0 + half],
-            shots: own.shots,
+            shots: own.shots.len(),
+            shot_numbers: own.shots.clone(),
             frame_share: own.frame_share,
             pattern_sd: own.pattern_sd,
         }
@@ -351,55 +358,4 @@ fn summary(deviations: &[f64]) -> Summary {
         min: sizes().reduce(f64::min).unwrap_or(0.0),
         sd: if n > 1.0 { (squares / (n - 1.0)).sqrt() } else { 0.0 },
     }
-}
-
-/// What to make of the table, in words.
-pub fn verdict(fit: &ExposureFit) -> Verdict {
-    let mut sentences = vec![];
-    let mut good = true;
-    for ladder in &fit.ladders {
-        let name = ladder.setting.name();
-        let worst = ladder.steps.iter().max_by(|a, b| a.deviation.abs().total_cmp(&b.deviation.abs()));
-        let Some(worst) = worst else { continue };
-        let label = ladder.setting.words(worst.label);
-        let deviation = 100.0 * worst.deviation;
-        if worst.deviation.abs() > HALF_STEP {
-            good = false;
-            sentences.push(format!(
-                "{name}: {label} is {deviation:+.1} % off its label, more than half a step; either the light changed, or a \
-                 frame's labels are wrong: shoot the ladder again in steady light with everything on manual."
-            ));
-        } else {
-            sentences.push(format!(
-                "{name}: {} steps measured, the worst ({label}) is {deviation:+.2} % off the ideal.",
-                ladder.steps.len()
-            ));
-        }
-        let pattern = ladder.steps.iter().map(|step| step.pattern_sd).fold(0.0, f64::max);
-        if pattern > PATTERN {
-            let why = match ladder.setting {
-                Setting::Aperture => "the lens's vignetting moves with the aperture",
-                Setting::Iso | Setting::Shutter => "the light moved, or the shutter's curtains run unevenly",
-            };
-            sentences.push(format!(
-                "{name}: the light's pattern over the frame changes by up to {:.1} % between steps ({why}); the factors \
-                 are those of the whole frame.",
-                100.0 * pattern
-            ));
-        }
-        let hidden = ladder.steps.iter().filter(|step| step.frame_share < 0.999).count();
-        if hidden > 0 {
-            sentences.push(format!(
-                "{name}: {hidden} steps are over-exposed in part and were measured on the rest of the frame."
-            ));
-        }
-    }
-    if fit.ladders.iter().any(|ladder| ladder.repeat_sd.is_none()) {
-        sentences.push(
-            "Where no label was shot twice, the intervals tell the sensor's noise alone, not how well shutter, diaphragm \
-             and lamp repeat; shoot every step twice to have that too."
-                .to_owned(),
-        );
-    }
-    Verdict { good, sentences }
 }

@@ -21,7 +21,7 @@ pub struct ExposureTable {
 }
 
 /// Where a ratio of two exposures comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ScaleSource {
     /// The labels are the same, or none is told: there is nothing to scale.
     Same,

@@ -141,9 +141,17 @@ fn without_noise_the_figures_are_those_of_the_table_by_hand() {
     assert!((mean - 0.0).abs() < 1e-12 && (max - 0.03).abs() < 1e-12 && (min - 0.01).abs() < 1e-12);
     assert!((sd - (0.0014f64 / 2.0).sqrt()).abs() < 1e-12, "{sd}");
     assert!((ladder.between_steps.max - (1.02 / 0.97 - 1.0)).abs() < 1e-12);
+    assert!((ladder.step_00_dn - 400.0).abs() < 1e-9, "{}", ladder.step_00_dn);
     assert!(ladder.repeat_sd.is_none());
-    let verdict = verdict(&fit);
-    assert!(verdict.good && verdict.sentences[0].contains("f/18"), "{verdict:?}");
+    let told = verdict(&fit, false);
+    assert!(told.good && told.sentences[0].contains("f/18"), "{told:?}");
+    let mut dim = fit.clone();
+    dim.ladders[0].step_00_dn = 125.0;
+    let of_black = |fit, known| {
+        let told = verdict(fit, known).sentences;
+        told.iter().any(|s| s.contains("125 DN above") && s.contains("0.80 %"))
+    };
+    assert!(of_black(&dim, false) && !of_black(&dim, true) && !of_black(&fit, false));
     // As it is kept.
     let json = serde_json::to_value(&fit).unwrap();
     assert_eq!(json["ladders"][0]["setting"], "aperture");
@@ -168,7 +176,7 @@ fn dark_and_over_exposed_shots_are_left_out_with_their_reason_and_no_ladder_is_a
 fn a_lamp_that_failed_and_a_lens_that_vignettes_are_told() {
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let shots = ladder(Setting::Iso, &[0.0, 0.0, -0.3, 0.01], 400.0, 1, 0.0, &mut random);
-    let told = verdict(&fit_exposure(&shots).unwrap().0);
+    let told = verdict(&fit_exposure(&shots).unwrap().0, true);
     assert!(!told.good && told.sentences[0].contains("more than half a step"), "{told:?}");
 
     let mut shots = ladder(Setting::Aperture, &[0.0; 4], 1000.0, 1, 0.0, &mut random);
@@ -178,7 +186,7 @@ fn a_lamp_that_failed_and_a_lens_that_vignettes_are_told() {
     let fit = fit_exposure(&shots).unwrap().0;
     let steps = &fit.ladders[0].steps;
     assert!((steps[3].pattern_sd - 0.03).abs() < 0.006, "{steps:?}");
-    assert!(verdict(&fit).sentences.iter().any(|s| s.contains("vignetting moves")));
+    assert!(verdict(&fit, true).sentences.iter().any(|s| s.contains("vignetting moves")));
 }
 
 #[test]

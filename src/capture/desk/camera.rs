@@ -98,7 +98,7 @@ impl Desk {
 }
 
 /// The exposure on the dials that is meant by labels which a person or a script wrote down.
-fn offered_exposure(wish: Exposure, offered: &Offered) -> Result<Exposure, DeskError> {
+pub(super) fn offered_exposure(wish: Exposure, offered: &Offered) -> Result<Exposure, DeskError> {
     fn nearest<T: Copy + std::fmt::Display>(
         what: &str,
         wish: T,

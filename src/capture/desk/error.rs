@@ -1,6 +1,7 @@
 //! Why a wish was not taken, and how a job's errors become the queue's.
 
 use super::sessions::NAME_LIMIT;
+use crate::calibration::guide::Kind;
 use crate::capture::error::CaptureError;
 use crate::capture::place::PlaceError;
 use crate::capture::sequence::SequenceError;
@@ -8,6 +9,8 @@ use crate::capture::thumbnail::ThumbnailError;
 use crate::jobs::{JobsError, WorkError};
 use crate::pair::WindowOutside;
 use crate::pair::order::Slot;
+use crate::pipeline::calibrate::RecordError;
+use crate::pipeline::calibrate::waiting::WaitingError;
 use crate::pipeline::energy::EnergyError;
 use crate::progress::Cancelled;
 use crate::session::SessionError;
@@ -55,6 +58,25 @@ pub enum DeskError {
         /// What is missing, in words.
         missing: String,
     },
+    /// Nothing was measured.
+    #[error("session {session:?} has no calibration of {}; shoot and fit it first", kind.name())]
+    NotMeasured {
+        /// The session.
+        session: String,
+        /// What was asked for.
+        kind: Kind,
+    },
+    /// A shot that a record comes from.
+    #[error(
+        "the calibration comes from shot {0}, which is kept; calibrate again without it (held_out) if it is wrong"
+    )]
+    ShotInRecord(String),
+    /// Shots that wait for their calibration.
+    #[error(transparent)]
+    Waiting(#[from] WaitingError),
+    /// A calibration's record.
+    #[error(transparent)]
+    Record(#[from] RecordError),
     /// A region outside the frame.
     #[error(transparent)]
     Window(#[from] WindowOutside),

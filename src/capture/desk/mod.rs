@@ -1,6 +1,7 @@
 //! Where wishes come in: sessions, pairs, calibration, processing. Each wish that takes time becomes a job,
 //! so that whoever asked may leave; faces (HTTP, terminal) only translate.
 
+mod calibration;
 mod camera;
 mod error;
 mod glance;
@@ -14,6 +15,7 @@ mod summary;
 mod verify;
 mod works;
 
+pub use calibration::{CalibrationState, IncomingFrames, SeriesShot};
 pub use error::DeskError;
 pub use glance::Glance;
 pub use summary::SessionSummary;
@@ -27,9 +29,11 @@ use super::thumbnail;
 use crate::jobs::{Job, JobId, Ledger, Queue, Wish, WorkError};
 use crate::pair::order::Slot;
 use crate::pair::{FrameRecord, PairRecord};
+use crate::pipeline::calibrate::guided::FitOrder;
 use crate::pipeline::energy::{self, FlashAccount};
 use crate::progress::Progress;
 use crate::session::{Lock, Session, SessionError};
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sessions::Sessions;
 use std::path::{Path, PathBuf};
@@ -39,14 +43,25 @@ use std::time::Duration;
 /// What the desk keeps for itself in the folder of the sessions.
 const OWN_FOLDER: &str = ".unlit";
 
+/// What the flash calibration needs to know beside its shots.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FlashOrder {
+    /// Reflectance of the card, 0..1; office paper's without it.
+    pub target_reflectance: Option<f64>,
+    /// Inner and outer radius of the ring lamp, metres.
+    pub ring_radii: [f64; 2],
+    /// Focal length in pixels, where no scene tells it.
+    pub focal_px: Option<f64>,
+    /// Shots that are kept from the fit, to check it.
+    pub held_out: Vec<String>,
+}
+
 /// What the flash calibration is made from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlashCard {
-    /// Reflectance of the card, 0..1.
-    pub target_reflectance: f64,
-    /// Inner and outer radius of the ring lamp, metres.
-    pub ring_radii: [f64; 2],
-    /// The shots, those with reasons left out.
+    /// What is known beforehand.
+    pub order: FlashOrder,
+    /// The shots that were taken here, those with reasons left out. Those that wait come to them.
     pub shots: Vec<CalibrationShot>,
 }
 
@@ -76,6 +91,8 @@ pub struct Works {
     pub process: Processing<()>,
     /// Fits the flash calibration.
     pub calibrate_flash: Processing<FlashCard>,
+    /// Fits another calibration from the shots that wait for it.
+    pub calibrate: Processing<FitOrder>,
     /// Brings cameras and meshes in.
     pub import_scene: Processing<SceneFiles>,
     /// Whether a scene is there.

@@ -25,10 +25,10 @@ impl Desk {
             "find_exposure" => again.find_exposure(session, read(order).ok_or_else(lost)?),
             "flash_shots" => again.take_card_shot(session, read(order).ok_or_else(lost)?),
             "repeatability" => again.take_repeatability(session, read(order).ok_or_else(lost)?),
-            "calibrate_flash" => {
-                let (target_reflectance, ring_radii) = read(order).ok_or_else(lost)?;
-                again.calibrate_flash(session, target_reflectance, ring_radii)
-            }
+            "calibration_shot" => again.take_calibration_shot(session, read(order).ok_or_else(lost)?),
+            "calibrate_flash" => again.calibrate_flash(session, read(order).ok_or_else(lost)?),
+            "calibrate_levels" | "calibrate_noise" | "calibrate_exposure" | "calibrate_flat"
+            | "calibrate_colour" => again.calibrate(session, read(order).ok_or_else(lost)?),
             "process" => again.process(session),
             "verify" => again.verify(session),
             "develop" => again.develop(session, read(order).ok_or_else(lost)?),

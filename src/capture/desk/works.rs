@@ -1,7 +1,9 @@
 //! What takes time: pairs, card shots, calibration, import, processing. Each wish becomes a job.
 
+use super::calibration::checked_distance;
 use super::error::{DeskError, JobError};
-use super::{Desk, FlashCard, SceneFiles};
+use super::{Desk, FlashCard, FlashOrder, SceneFiles};
+use crate::calibration::guide::Kind;
 use crate::capture::card::calibration_shots;
 use crate::capture::error::CaptureError;
 use crate::capture::events::Topic;
@@ -13,6 +15,7 @@ use crate::capture::wish::PairWish;
 use crate::jobs::{Job, Lane, Order, Work, WorkError};
 use crate::pair::energy::FEWEST_SHOTS;
 use crate::pair::{Exposure, PairRecord, Plan, Verdict};
+use crate::pipeline::calibrate::waiting;
 use crate::progress::Progress;
 use crate::session::Session;
 use serde_json::{Value, json};
@@ -109,11 +112,7 @@ impl Desk {
 
     /// Shoots the calibration card at a distance in metres.
     pub fn take_card_shot(&self, session: &str, distance_m: f64) -> Result<Job, DeskError> {
-        if !(distance_m > 0.0 && distance_m < 100.0) {
-            return Err(DeskError::BadValue(format!(
-                "a card {distance_m} m away cannot be: give the distance from the lens to the card in metres"
-            )));
-        }
+        checked_distance(distance_m)?;
         let session = self.session(session)?;
         let desk = self.clone();
         let ask = Ask::new("flash_shots", Lane::Rig).again(json!(distance_m));
@@ -149,18 +148,18 @@ impl Desk {
     }
 
     /// Fits the flash calibration from the session's card shots, then processes if all is there.
-    pub fn calibrate_flash(
-        &self,
-        session: &str,
-        target_reflectance: f64,
-        ring_radii: [f64; 2],
-    ) -> Result<Job, DeskError> {
-        if !(target_reflectance > 0.0 && target_reflectance <= 1.0) {
+    pub fn calibrate_flash(&self, session: &str, order: FlashOrder) -> Result<Job, DeskError> {
+        if let Some(given) = order.target_reflectance.filter(|given| !(*given > 0.0 && *given <= 1.0)) {
             return Err(DeskError::BadValue(format!(
-                "target_reflectance is {target_reflectance}, but a card's reflectance lies between 0 and 1"
+                "target_reflectance is {given}, but a card's reflectance lies between 0 and 1"
             )));
         }
-        let [inner, outer] = ring_radii;
+        if let Some(focal) = order.focal_px.filter(|focal| !(focal.is_finite() && *focal > 0.0)) {
+            return Err(DeskError::BadValue(format!(
+                "focal_px is {focal}, but a focal length is greater than 0"
+            )));
+        }
+        let [inner, outer] = order.ring_radii;
         if !(inner >= 0.0 && outer > inner && outer < 1.0) {
             return Err(DeskError::BadValue(format!(
                 "ring_radii are {inner} and {outer}; give the inner, then the larger outer radius in metres"
@@ -169,16 +168,26 @@ impl Desk {
         let session = self.session(session)?;
         let shots: Vec<_> =
             calibration_shots(&session)?.into_iter().filter(|s| s.reasons.is_empty()).collect();
-        if shots.is_empty() {
+        let sent = waiting::list(&session, Kind::Flash)?;
+        let known = |id: &String| {
+            shots.iter().any(|shot| shot.name == *id)
+                || sent.iter().any(|shot| shot.number.to_string() == *id)
+        };
+        if let Some(stranger) = order.held_out.iter().find(|id| !known(id)) {
+            return Err(DeskError::BadValue(format!(
+                "held_out names {stranger:?}, which is none of the card shots that can be used"
+            )));
+        }
+        if shots.is_empty() && sent.is_empty() {
             let (session, missing) = (name_of(&session), "usable shot of the calibration card".into());
             return Err(DeskError::NotReady { session, missing });
         }
         let desk = self.clone();
-        let card = FlashCard { target_reflectance, ring_radii, shots };
-        let ask =
-            Ask::new("calibrate_flash", Lane::Processing).again(json!([target_reflectance, ring_radii]));
+        let ask = Ask::new("calibrate_flash", Lane::Processing).again(json!(order));
+        let card = FlashCard { order, shots };
         self.ask(ask, name_of(&session), move |progress| {
             let result = (desk.0.works.calibrate_flash)(&session, card, progress)?;
+            desk.tell_of_calibration(&session, Kind::Flash, &result);
             desk.process_if_ready(&session);
             Ok(result)
         })

@@ -1,6 +1,6 @@
 //! `unlit calibrate exposure`: what the steps of ISO, shutter and aperture truly do.
 
-use crate::calibration::Record;
+use super::{print_json, print_verdict};
 use crate::calibration::exposure::{ExposureFit, Setting, Summary, THESIS};
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pipeline::calibrate::exposure::calibrate;
@@ -20,7 +20,7 @@ pub(in crate::cli) struct ExposureArgs {
     /// the files.
     #[arg(required = true)]
     files: Vec<PathBuf>,
-    /// Everything as JSON.
+    /// The record as JSON.
     #[arg(long)]
     json: bool,
 }
@@ -31,19 +31,19 @@ pub(super) fn run(args: &ExposureArgs) -> CliResult {
     let record = calibrate(&session, &args.files, &progress);
     bar.finish_and_clear();
     let record = record.map_err(CliError::new)?;
-    match args.json {
-        true => println!("{}", serde_json::to_string_pretty(&record).map_err(CliError::new)?),
-        false => print!("{}", human(&record)),
+    if args.json {
+        return print_json(&record);
     }
+    print_verdict(&record.verdict, &record.shots);
+    print!("{}", human(&record.fit));
     Ok(Exit::Success)
 }
 
-fn human(record: &Record<ExposureFit>) -> String {
+fn human(fit: &ExposureFit) -> String {
     let mut text = String::new();
-    record.verdict.sentences.iter().for_each(|sentence| text += &format!("{sentence}\n"));
-    for ladder in &record.fit.ladders {
+    for ladder in &fit.ladders {
         text += &format!(
-            "\n{:<10}{:>5}{:>10}{:>10}{:>12}{:>12}\n",
+            "{:<10}{:>5}{:>10}{:>10}{:>12}{:>12}\n",
             ladder.setting.name(),
             "k",
             "2^(k/3)",
@@ -63,23 +63,19 @@ fn human(record: &Record<ExposureFit>) -> String {
                 100.0 * half
             );
         }
+        text += "\n";
     }
-    text += &format!("\n{:<24}{:>9}{:>9}{:>9}{:>9}\n", "deviations (table 3.2)", "mean", "max", "min", "SD");
+    text += &format!("{:<24}{:>9}{:>9}{:>9}{:>9}\n", "deviations (table 3.2)", "mean", "max", "min", "SD");
     let row = |name: String, s: &Summary| {
         format!("{name:<24}{:>9.4}{:>9.4}{:>9.4}{:>9.4}\n", s.mean, s.max, s.min, s.sd)
     };
     for (setting, thesis) in Setting::ALL.into_iter().zip(&THESIS) {
-        for ladder in record.fit.ladders.iter().filter(|l| l.setting == setting) {
+        for ladder in fit.ladders.iter().filter(|l| l.setting == setting) {
             text += &row(format!("{}, from step 00", setting.name()), &ladder.summary);
             text += &row("  step from step".into(), &ladder.between_steps);
         }
         text += &row(format!("  {} in the thesis", setting.name()), thesis);
     }
     text += "mean with its sign, max and min of the magnitudes; step 00 itself is not counted\n";
-    for shot in &record.shots {
-        if let Some(why) = &shot.left_out {
-            text += &format!("left out {}: {why}\n", shot.file);
-        }
-    }
     text
 }

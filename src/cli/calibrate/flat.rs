@@ -1,6 +1,6 @@
 //! `unlit calibrate flat`: vignetting and flat field.
 
-use crate::calibration::Record;
+use super::{print_json, print_verdict};
 use crate::calibration::flat::{Figure, FlatCalibration};
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pipeline::calibrate::flat::calibrate;
@@ -19,7 +19,7 @@ pub(in crate::cli) struct FlatArgs {
     /// Raw files of one lens, focal length and aperture; any shutter and ISO.
     #[arg(required = true)]
     files: Vec<PathBuf>,
-    /// Everything as JSON.
+    /// The record as JSON.
     #[arg(long)]
     json: bool,
 }
@@ -30,19 +30,18 @@ pub(super) fn run(args: &FlatArgs) -> CliResult {
     let record = calibrate(&session, &args.files, &progress);
     bar.finish_and_clear();
     let record = record.map_err(CliError::new)?;
-    match args.json {
-        true => println!("{}", serde_json::to_string_pretty(&record).map_err(CliError::new)?),
-        false => print!("{}", human(&record)),
+    if args.json {
+        return print_json(&record);
     }
+    print_verdict(&record.verdict, &record.shots);
+    print!("{}", human(&record.fit));
     Ok(Exit::Success)
 }
 
-fn human(record: &Record<FlatCalibration>) -> String {
-    let fit = &record.fit;
+fn human(fit: &FlatCalibration) -> String {
     let mut text = String::new();
-    record.verdict.sentences.iter().for_each(|sentence| text += &format!("{sentence}\n"));
     let half = |f: &Figure| (f.interval_95[1] - f.interval_95[0]) / 2.0;
-    text += &format!("\n{:<8}{:>10}{:>10}{:>10}{:>12}{:>10}\n", "", "a1", "a2", "a3", "corner", "95 %");
+    text += &format!("{:<8}{:>10}{:>10}{:>10}{:>12}{:>10}\n", "", "a1", "a2", "a3", "corner", "95 %");
     for ((name, [a, b, c]), corner) in
         ["red", "green", "blue"].into_iter().zip(fit.vignetting.coefficients).zip(&fit.corner)
     {
@@ -65,10 +64,5 @@ fn human(record: &Record<FlatCalibration>) -> String {
         100.0 * fit.residual_rms,
         fit.chi2_per_freedom
     );
-    for shot in &record.shots {
-        if let Some(why) = &shot.left_out {
-            text += &format!("left out {}: {why}\n", shot.file);
-        }
-    }
     text
 }

@@ -4,8 +4,11 @@ mod colour;
 mod exposure;
 mod flash;
 mod flat;
+mod guide;
 mod levels;
 mod noise;
+mod report;
+mod take;
 
 use crate::calibration::{Record, Shot, Verdict};
 use crate::capture::{Engine, Events, words_on_repeatability};
@@ -16,11 +19,14 @@ use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pair::Limits;
 use crate::pipeline::steadiness::SteadyFile;
 use flash::FlashArgs;
+pub(super) use flash::PAPER;
 use std::path::PathBuf;
 
 /// What to calibrate.
 #[derive(clap::Subcommand)]
 pub(super) enum Calibrate {
+    /// What to shoot for a calibration, step by step.
+    Guide(guide::GuideArgs),
     /// The flash, from shots of a white card that fills the frame and faces the camera.
     ///
     /// Put a flat, matt white card before the camera so that it fills the frame, in a dark room (or with an unlit frame
@@ -50,6 +56,12 @@ pub(super) enum Calibrate {
     Colour(colour::ColourArgs),
     /// How steady the flash is: shoots a plain surface again and again, nothing changed, with a flash controller; or from lit frames alone.
     Repeatability(RepeatabilityArgs),
+    /// Writes calibration/report.html anew: all calibrations of a session on one page, for the screen and for paper.
+    ///
+    /// Every calibration writes it anyway; this is for a certificate made since, or a report that was deleted.
+    Report(report::ReportArgs),
+    /// Takes calibrations over from another session of the same rig, with the shots that they come from.
+    Take(take::TakeArgs),
 }
 
 /// Arguments of `unlit calibrate repeatability`.
@@ -76,6 +88,7 @@ pub(super) struct RepeatabilityArgs {
 
 pub(super) fn run(what: &Calibrate) -> CliResult {
     match what {
+        Calibrate::Guide(args) => guide::run(args),
         Calibrate::Levels(args) => levels::run(args),
         Calibrate::Noise(args) => noise::run(args),
         Calibrate::Exposure(args) => exposure::run(args),
@@ -83,6 +96,8 @@ pub(super) fn run(what: &Calibrate) -> CliResult {
         Calibrate::Colour(args) => colour::run(args),
         Calibrate::Flash(args) => flash::flash(args),
         Calibrate::Repeatability(args) => repeatability(args),
+        Calibrate::Report(args) => report::run(args),
+        Calibrate::Take(args) => take::run(args),
     }
 }
 

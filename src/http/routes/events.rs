@@ -36,7 +36,7 @@ pub(super) struct GoOn {
 
 /// Events as they happen. The first is `state` with everything that a page needs to begin with; the others
 /// carry `words` for people and `data` for machines. Topics: `devices`, `session`, `prompt`, `prompt_done`,
-/// `pair`, `calibration_shot`, `recovery`, `trouble`, `sequence`, `mirror`, `job`, `studio`. Ids are `BOOT.N`: BOOT is this run of the
+/// `pair`, `calibration_shot`, `calibration`, `recovery`, `trouble`, `sequence`, `mirror`, `job`, `studio`. Ids are `BOOT.N`: BOOT is this run of the
 /// daemon, N counts up without gaps. With `Last-Event-ID` (or `last_event_id`) the events after that one come, each once and in
 /// order; where they are not remembered any more, or are of another run, `state` comes first again.
 #[utoipa::path(get, path = "/api/v1/events", tag = "events",

@@ -1,5 +1,6 @@
 //! One file a subject. The path of each handler is written once, beside it.
 
+mod calibration;
 mod camera;
 mod events;
 mod files;
@@ -19,6 +20,7 @@ use super::intake;
 use super::problem::Problem;
 use crate::capture::{CaptureError, DeskError, PlaceError, ThumbnailError};
 use crate::jobs::JobsError;
+use crate::pipeline::calibrate::waiting::WaitingError;
 use crate::session::SessionError;
 use axum::extract::DefaultBodyLimit;
 use axum::http::{Method, StatusCode, Uri};
@@ -33,6 +35,10 @@ pub(super) fn all() -> OpenApiRouter<App> {
         .routes(routes!(processing::import_scene))
         .layer(DefaultBodyLimit::disable())
         .layer(from_fn(intake::upload));
+    let shots = OpenApiRouter::new()
+        .routes(routes!(calibration::shoot))
+        .layer(DefaultBodyLimit::disable())
+        .layer(from_fn(intake::either));
     OpenApiRouter::new()
         .routes(routes!(sessions::devices))
         .routes(routes!(status::status))
@@ -62,8 +68,9 @@ pub(super) fn all() -> OpenApiRouter<App> {
         .routes(routes!(events::listen))
         .routes(routes!(files::list))
         .routes(routes!(files::fetch))
-        .routes(routes!(processing::shoot_card))
-        .routes(routes!(processing::calibrate_flash))
+        .routes(routes!(calibration::list))
+        .routes(routes!(calibration::record, calibration::calibrate))
+        .routes(routes!(calibration::remove))
         .routes(routes!(processing::process))
         .routes(routes!(verify::verify))
         .routes(routes!(studio::describe))
@@ -73,6 +80,7 @@ pub(super) fn all() -> OpenApiRouter<App> {
         // What takes files is merged after this layer: it has its own.
         .layer(from_fn(intake::json))
         .merge(uploads)
+        .merge(shots)
 }
 
 pub(super) async fn nothing_here(uri: Uri) -> Problem {
@@ -104,6 +112,10 @@ impl From<DeskError> for Problem {
             DeskError::NoSuchFile { .. } => (StatusCode::NOT_FOUND, "file_not_found"),
             DeskError::NoSuchFrame { .. } => (StatusCode::NOT_FOUND, "frame_not_found"),
             DeskError::NotReady { .. } => (StatusCode::CONFLICT, "inputs_missing"),
+            DeskError::NotMeasured { .. } => (StatusCode::NOT_FOUND, "calibration_not_measured"),
+            DeskError::ShotInRecord(_) => (StatusCode::CONFLICT, "shot_in_use"),
+            DeskError::Waiting(error) => of_waiting(error),
+            DeskError::Record(_) => (StatusCode::INTERNAL_SERVER_ERROR, "session_unreadable"),
             DeskError::Session(error) | DeskError::Place(PlaceError::Session(error)) => of_session(error),
             DeskError::Sequence(error) => sequences::answer_to(error),
             DeskError::Energy(_) => (StatusCode::INTERNAL_SERVER_ERROR, "session_unreadable"),
@@ -120,6 +132,9 @@ impl From<DeskError> for Problem {
             }
             DeskError::Thumbnail(ThumbnailError::Disk { .. }) => {
                 (StatusCode::INTERNAL_SERVER_ERROR, "disk_failed")
+            }
+            DeskError::Thumbnail(ThumbnailError::Record(_)) => {
+                (StatusCode::INTERNAL_SERVER_ERROR, "session_unreadable")
             }
             DeskError::Thumbnail(_) => (StatusCode::UNPROCESSABLE_ENTITY, "frame_unreadable"),
         };
@@ -140,6 +155,19 @@ fn of_session(error: &SessionError) -> (StatusCode, &'static str) {
         SessionError::Damaged { .. } => (StatusCode::INTERNAL_SERVER_ERROR, "session_damaged"),
         SessionError::TooNew { .. } => (StatusCode::CONFLICT, "session_too_new"),
         _ => (StatusCode::INTERNAL_SERVER_ERROR, "session_failed"),
+    }
+}
+
+/// The table from errors of shots that wait for their calibration to status and code.
+fn of_waiting(error: &WaitingError) -> (StatusCode, &'static str) {
+    match error {
+        WaitingError::None { .. } => (StatusCode::NOT_FOUND, "shot_not_found"),
+        WaitingError::Twice { .. } => (StatusCode::CONFLICT, "shot_twice"),
+        WaitingError::Raw(_) => (StatusCode::UNPROCESSABLE_ENTITY, "frame_unreadable"),
+        WaitingError::Session(error) => of_session(error),
+        WaitingError::Io { source, .. } if is_full(source) => (StatusCode::CONFLICT, "disk_full"),
+        WaitingError::Io { .. } => (StatusCode::INTERNAL_SERVER_ERROR, "disk_failed"),
+        _ => (StatusCode::INTERNAL_SERVER_ERROR, "session_unreadable"),
     }
 }
 

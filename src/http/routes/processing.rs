@@ -3,8 +3,7 @@
 use super::blocking;
 use super::jobs::{Ordered, accepted, ordered};
 use crate::http::App;
-use crate::http::extract::{Form, Json, Path};
-use crate::http::flash_bodies::{CardShotOrder, FlashCalibrationOrder};
+use crate::http::extract::{Form, Path};
 use crate::http::idempotency::Key;
 use crate::http::job_bodies::JobBody;
 use crate::http::problem::{Problem, ProblemBody};
@@ -52,38 +51,6 @@ pub(super) async fn import_scene(
     };
     let files = staging::stage(form, &app.desk.own_folder()).await?;
     Ok(accepted(blocking(move || app.desk.import_scene(&session, files)).await?))
-}
-
-/// Shoots the calibration card with and without flash.
-#[utoipa::path(post, path = "/api/v1/sessions/{session}/calibration/flash/shots", tag = "processing",
-    params(("session" = String, Path, description = "Name of the session", example = "birdbath"),
-        ("Idempotency-Key" = Option<String>, Header, description = "One wish, one job, however often it is sent")),
-    request_body = CardShotOrder,
-    responses((status = 202, body = JobBody, headers(("Location" = String), ("Idempotency-Replayed" = Option<String>)))))]
-pub(super) async fn shoot_card(
-    State(app): State<App>,
-    Path(session): Path<String>,
-    key: Key,
-    Json(order): Json<CardShotOrder>,
-) -> Result<Ordered, Problem> {
-    let distance = order.distance_m;
-    ordered(&app, key.with(&order)?, move |desk| desk.take_card_shot(&session, distance)).await
-}
-
-/// Fits the flash calibration from the card shots taken so far.
-#[utoipa::path(post, path = "/api/v1/sessions/{session}/calibration/flash", tag = "processing",
-    params(("session" = String, Path, description = "Name of the session", example = "birdbath")),
-    request_body = FlashCalibrationOrder,
-    responses((status = 202, body = JobBody, headers(("Location" = String))),
-        (status = 409, description = "`inputs_missing`, `session_locked` or `session_too_new`", body = ProblemBody, content_type = "application/problem+json")))]
-pub(super) async fn calibrate_flash(
-    State(app): State<App>,
-    Path(session): Path<String>,
-    Json(order): Json<FlashCalibrationOrder>,
-) -> Result<Response, Problem> {
-    let FlashCalibrationOrder { target_reflectance, ring_radii } = order;
-    let ordered = blocking(move || app.desk.calibrate_flash(&session, target_reflectance, ring_radii));
-    Ok(accepted(ordered.await?))
 }
 
 /// Makes the model from everything that the session holds. Starts by itself after each accepted pair once

@@ -15,7 +15,7 @@ pub use wish::{FindingError, Found, Keep, Next, Wish};
 
 use super::plan::{Exposure, Offered, Plan};
 use crate::photometry::Mosaic;
-use crate::photometry::apex::{ExposureScale, Nominal};
+use crate::photometry::apex::ExposureScale;
 use crate::photometry::inspect::Region;
 use crate::units::{Iso, Seconds};
 use brightness::{ALL_CLIPPED, Brightness, brightness};
@@ -44,9 +44,9 @@ const UNLIT_SHARE: f64 = 0.6;
 /// Share of the lit frame's light from which on the room dominates: its noise then outweighs the flash's.
 const ROOM_DOMINATES: f64 = 0.5;
 
-/// A search under way. `S` says how light scales with settings: [`Nominal`], or a body's measured table.
+/// A search under way. `S` says how light scales with settings: by what labels stand for, or by a body's measured table.
 #[derive(Clone, Debug)]
-pub struct Finding<S = Nominal> {
+pub struct Finding<S> {
     wish: Wish,
     scale: S,
     choices: Vec<Exposure>,
@@ -87,21 +87,9 @@ impl Shot {
     }
 }
 
-impl Finding {
-    /// Begins a search at the settings `start`, with labels that mean what they say.
-    pub fn new(wish: Wish, offered: &Offered, start: Exposure) -> Result<Self, FindingError> {
-        Self::with_scale(wish, offered, start, Nominal)
-    }
-}
-
 impl<S: ExposureScale> Finding<S> {
-    /// Begins a search with a body's own scale.
-    pub fn with_scale(
-        wish: Wish,
-        offered: &Offered,
-        start: Exposure,
-        scale: S,
-    ) -> Result<Self, FindingError> {
+    /// Begins a search at the settings `start`.
+    pub fn new(wish: Wish, offered: &Offered, start: Exposure, scale: S) -> Result<Self, FindingError> {
         if !(wish.target_share > 0.0 && wish.target_share < 1.0) {
             let sentence = "the target must lie between 0 and 1 of saturation, such as 0.85".to_owned();
             return Err(FindingError::Wish(sentence));

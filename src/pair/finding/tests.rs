@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::pair::plan::Window;
+use crate::photometry::apex::Nominal;
 use crate::photometry::{Cfa, LevelSource, Levels};
 use crate::raster::Image;
 use crate::units::FNumber;
@@ -89,7 +90,7 @@ fn search(
     offered: &Offered,
     start: Exposure,
 ) -> (Result<Found, FindingError>, Vec<(Exposure, bool)>) {
-    let mut finding = Finding::new(wish, offered, start).unwrap();
+    let mut finding = Finding::new(wish, offered, start, Nominal).unwrap();
     let mut shots = vec![];
     loop {
         match finding.next() {
@@ -180,7 +181,7 @@ fn what_cannot_be_reached_says_what_to_change() {
         .unwrap_err();
     assert!(matches!(error, FindingError::TooCoarse { .. }), "{error}");
     assert!(matches!(
-        Finding::new(Wish { target_share: 1.5, ..Wish::of(Some(WINDOW)) }, &offered(), START),
+        Finding::new(Wish { target_share: 1.5, ..Wish::of(Some(WINDOW)) }, &offered(), START, Nominal),
         Err(FindingError::Wish(_))
     ));
 }
@@ -264,7 +265,7 @@ proptest! {
             }
             Err(error) => {
                 prop_assert!(!matches!(error, FindingError::Unsettled { .. }), "{error} after {shots:?}");
-                let finding = Finding::new(wish, &offered, start).unwrap();
+                let finding = Finding::new(wish, &offered, start, Nominal).unwrap();
                 // On target, and noise keeps clear of saturation too.
                 let top = |e: Exposure| brightness(&scene.shoot(e, true, Some(97)), REGION).map(|b| b.top);
                 let within = |e: &Exposure| {

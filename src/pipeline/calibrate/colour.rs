@@ -8,9 +8,9 @@ use crate::calibration::colour::{
 use crate::calibration::{OtherRig, Record};
 use crate::codec::png::{PngError, encode_rgb8};
 use crate::export::chart::{Chart, Series as Points};
-use crate::export::colour::{ACESCG, LINEAR_SRGB, PCS_WHITE, Space, adapt};
+use crate::export::colour::{ACESCG, LINEAR_SRGB};
 use crate::pair::Settings;
-use crate::pipeline::develop::exposure_ratio;
+use crate::pipeline::scale::{RatioError, SessionScale};
 use crate::progress::{Cancelled, Progress};
 use crate::session::Session;
 use crate::units::{FNumber, Iso, Seconds};
@@ -18,7 +18,7 @@ use glam::{DMat3, DVec2};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-const KIND: &str = "colour";
+pub(in crate::pipeline) const KIND: &str = "colour";
 
 /// Longest sides in pixels of the pictures in which a chart is sought, one after the other: a large chart is found in
 /// the first, a small one in the last.
@@ -42,15 +42,13 @@ pub enum ColourCalibrationError {
         /// What does not fit.
         source: FramesDiffer,
     },
-    /// One frame of two tells a setting.
-    #[error("only one of {} and {} tells its {setting}; give raw files as the camera wrote them", on.display(), off.display())]
-    Untold {
+    /// Lit and unlit frame cannot be scaled to each other.
+    #[error("{}: {source}", path.display())]
+    Ratio {
         /// The lit frame.
-        on: PathBuf,
-        /// The unlit frame.
-        off: PathBuf,
-        /// What is missing.
-        setting: &'static str,
+        path: PathBuf,
+        /// Why.
+        source: RatioError,
     },
     /// The picture of the patches.
     #[error(transparent)]
@@ -112,14 +110,15 @@ pub fn calibrate(
     let on = series.read(&shot.on)?;
     progress.check()?;
     let off = shot.off.as_deref().map(|path| series.read(path)).transpose()?;
-    let pair = match (&off, &shot.off) {
-        (Some(photo), Some(path)) => {
-            let scale = exposure_ratio(&on.settings, &photo.settings).map_err(|setting| {
-                ColourCalibrationError::Untold { on: shot.on.clone(), off: path.clone(), setting }
-            })?;
-            Some((&photo.mosaic, scale as f32))
+    let pair = match &off {
+        Some(photo) => {
+            let scale = SessionScale::load(session).map_err(SeriesError::from)?;
+            let ratio = scale
+                .room_ratio(&on.settings, &photo.settings)
+                .map_err(|source| ColourCalibrationError::Ratio { path: shot.on.clone(), source })?;
+            Some((&photo.mosaic, ratio as f32))
         }
-        _ => None,
+        None => None,
     };
     let differ = |source| ColourCalibrationError::Differ {
         path: shot.off.clone().unwrap_or_else(|| shot.on.clone()),
@@ -137,8 +136,8 @@ pub fn calibrate(
     let xyz_from_camera = colour::matrix(&fit.xyz_d50_from_camera);
     let Settings { shutter, aperture, iso, .. } = on.settings;
     let kept = SessionColour {
-        linear_srgb_from_camera: colour::rows(&from_camera(&LINEAR_SRGB, xyz_from_camera)),
-        acescg_from_camera: colour::rows(&from_camera(&ACESCG, xyz_from_camera)),
+        linear_srgb_from_camera: colour::rows(&(LINEAR_SRGB.from_pcs() * xyz_from_camera)),
+        acescg_from_camera: colour::rows(&(ACESCG.from_pcs() * xyz_from_camera)),
         room_light_taken_off: shot.off.is_some(),
         found_without_help: shot.corners.is_none(),
         patches_seen: found.patches_seen,
@@ -147,8 +146,7 @@ pub fn calibrate(
         iso,
         fit,
     };
-    let folder = session.calibration_dir();
-    session.keep(&folder.join("colour.png"), &picture).map_err(SeriesError::from)?;
+    series.figure("png", picture);
     Ok(series.keep(kept, verdict, &figure, progress)?)
 }
 
@@ -162,11 +160,6 @@ impl SessionColour {
     pub fn fits(record: &Record<Self>, settings: &Settings) -> Result<(), OtherRig> {
         record.rig.same_body(settings, "the colour calibration")
     }
-}
-
-/// A space's values of camera RGB, white being (1, 1, 1) in both.
-fn from_camera(space: &Space, xyz_d50_from_camera: DMat3) -> DMat3 {
-    space.xyz_from_rgb().inverse() * adapt(PCS_WHITE, space.white_xyz()) * xyz_d50_from_camera
 }
 
 /// Finds the chart; its plane maps to sensor sites.
@@ -225,7 +218,7 @@ fn picture(frame: &ChartFrame, fit: &ColourFit) -> Result<Vec<u8>, PngError> {
     encode_rgb8(&overlay(&preview, fit.white_dn, &outlines))
 }
 
-fn figure(fit: &ColourFit) -> Chart {
+pub(super) fn figure(fit: &ColourFit) -> Chart {
     let numbered = || fit.patches.iter().enumerate().map(|(k, patch)| ((k + 1) as f64, patch));
     Chart {
         caption: "Colour difference of each patch of the chart".into(),
@@ -246,19 +239,5 @@ fn figure(fit: &ColourFit) -> Chart {
                     .collect(),
             },
         ],
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use glam::DVec3;
-
-    #[test]
-    fn white_is_white_in_every_space() {
-        let xyz = DMat3::from_diagonal(PCS_WHITE) * DMat3::IDENTITY;
-        for space in [LINEAR_SRGB, ACESCG] {
-            assert!((from_camera(&space, xyz) * DVec3::ONE).abs_diff_eq(DVec3::ONE, 1e-9), "{}", space.name);
-        }
     }
 }

@@ -63,7 +63,7 @@ pub fn load(session: &Session) -> Result<Option<Record<FlatCalibration>>, Record
     load_record(session, KIND)
 }
 
-fn figure(fit: &FlatCalibration) -> Chart {
+pub(super) fn figure(fit: &FlatCalibration) -> Chart {
     let named = ["red", "green", "blue"].into_iter().zip(&fit.profile).filter(|(_, rings)| !rings.is_empty());
     let series = named.map(|(name, rings)| Points {
         name: name.into(),

@@ -1,21 +1,28 @@
 //! Calibrations from raw files: the shots are read one by one, the fit is kept with all that it comes from.
 //!
 //! A calibration of the kind `levels` is `calibration/levels.json` (a [`Record`]), `calibration/levels.svg` (its
-//! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already).
+//! figure) and `calibration/levels/` (its shots, copied unless they lie in the session already). Shots that are taken
+//! or sent in one by one wait in `calibration/waiting/` ([`waiting`]) until [`guided`] fits them. Whenever a record is kept,
+//! `calibration/report.html` is written anew ([`report`]).
 
 pub mod colour;
 pub mod exposure;
 pub mod flat;
+pub mod guided;
 pub mod levels;
 pub mod noise;
+pub mod report;
+pub mod take;
+pub mod waiting;
 
 use super::levels as sensor_levels;
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 use crate::codec::raw::{Photo, RawError};
 use crate::export::chart::{self, Chart};
+use crate::pair::Lighting;
 use crate::photometry::levels::MeasuredLevels;
 use crate::progress::{Cancelled, Progress};
-use crate::session::{Session, SessionError, store, utc_now};
+use crate::session::{Session, SessionError, store as disk, utc_now};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::io::ErrorKind;
@@ -94,6 +101,9 @@ pub enum RecordError {
         /// What differs.
         source: OtherRig,
     },
+    /// A calibration of an earlier program.
+    #[error("{} was written by an earlier version of unlit, in a form that is not read any more; calibrate again (the file is kept)", .0.display())]
+    Older(PathBuf),
     /// A calibration of a later program.
     #[error("{} was written by a later version of unlit (form {found}, this program knows {SCHEMA}); update unlit", path.display())]
     TooNew {
@@ -115,6 +125,10 @@ pub(super) struct Series<'a> {
     paths: Vec<PathBuf>,
     /// What people must be told beside the fit's verdict.
     remarks: Vec<String>,
+    /// A small picture of each, for the report; absent where there is nothing to see.
+    pictures: Vec<Option<Vec<u8>>>,
+    /// Figures beside the chart, by what their files' names end in.
+    figures: Vec<(&'static str, Vec<u8>)>,
 }
 
 impl<'a> Series<'a> {
@@ -126,15 +140,28 @@ impl<'a> Series<'a> {
         } else {
             sensor_levels::load(session)?
         };
+        let rig = Rig { lighting: session.manifest().lighting, ..Rig::default() };
         Ok(Self {
             session,
             kind,
             measured,
-            rig: Rig::default(),
+            rig,
             shots: vec![],
             paths: vec![],
             remarks: vec![],
+            pictures: vec![],
+            figures: vec![],
         })
+    }
+
+    /// Says how the shots were lit and seen, where that is not what the session says.
+    pub(super) fn lit(&mut self, lighting: Lighting) {
+        self.rig.lighting = lighting;
+    }
+
+    /// The rig as far as the shots told it.
+    pub(super) fn rig(&self) -> &Rig {
+        &self.rig
     }
 
     /// Reads the next shot; it must be of the same body and lens as those before. Its number in the series is the
@@ -145,17 +172,18 @@ impl<'a> Series<'a> {
         let settings = &photo.settings;
         let other = |source| SeriesError::OtherRig { path: path.to_owned(), source };
         self.rig.same_lens(settings, "the first shot").map_err(other)?;
-        let blake3 = store::digest(&bytes);
+        let blake3 = disk::digest(&bytes);
         if let Some(at) = self.shots.iter().position(|shot| shot.blake3 == blake3) {
             return Err(SeriesError::Twice { path: path.to_owned(), other: self.paths[at].clone() });
         }
         let told = Rig::of(settings);
-        let Rig { make, model, serial, lens } = std::mem::take(&mut self.rig);
+        let Rig { make, model, serial, lens, lighting } = std::mem::take(&mut self.rig);
         self.rig = Rig {
             make: make.or(told.make),
             model: model.or(told.model),
             serial: serial.or(told.serial),
             lens: lens.or(told.lens),
+            lighting,
         };
         if let Some(remark) = sensor_levels::remark(&self.measured, settings) {
             self.remark(remark);
@@ -164,20 +192,20 @@ impl<'a> Series<'a> {
         let file = self.place(path, &blake3);
         self.shots.push(Shot { file, blake3, shutter, aperture, iso, left_out: None });
         self.paths.push(path.to_owned());
+        self.pictures.push(report::shots::picture(&photo.mosaic).ok());
         Ok(photo)
     }
 
-    /// Where a shot lies in the session: where it is, or where its copy will be.
+    /// Where a shot lies in the session: where it is, unless it waits there, or where its copy will be.
     fn place(&self, path: &Path, blake3: &str) -> String {
         let (root, own) = (self.session.path().canonicalize(), path.canonicalize());
         if let (Ok(root), Ok(own)) = (root, own)
             && let Ok(inside) = own.strip_prefix(root)
+            && !waiting::is_waiting(inside)
         {
             return inside.to_string_lossy().into_owned();
         }
-        let name = path.file_name().map_or_else(Default::default, |name| name.to_string_lossy());
-        let mark = blake3.get(..8).unwrap_or(blake3);
-        format!("calibration/{}/{mark}_{name}", self.kind)
+        copy_name(self.kind, &path.to_string_lossy(), blake3)
     }
 
     /// The shots read so far.
@@ -192,12 +220,18 @@ impl<'a> Series<'a> {
         }
     }
 
+    /// A figure to be kept beside the chart, in a file whose name ends in `ending`.
+    pub(super) fn figure(&mut self, ending: &'static str, bytes: Vec<u8>) {
+        self.figures.push((ending, bytes));
+    }
+
     /// Says why a shot is not used.
     pub(super) fn leave_out(&mut self, shot: usize, why: String) {
         self.shots[shot].left_out = Some(why);
     }
 
-    /// Copies the shots into the session, and keeps the fit and its figure; on the disk when this returns.
+    /// Copies the shots into the session, keeps the fit and its figure, and writes the report; on the disk when this
+    /// returns.
     pub(super) fn keep<T: Serialize>(
         self,
         fit: T,
@@ -205,7 +239,7 @@ impl<'a> Series<'a> {
         figure: &Chart,
         progress: &Progress,
     ) -> Result<Record<T>, SeriesError> {
-        let Self { session, kind, rig, shots, paths, remarks, .. } = self;
+        let Self { session, kind, rig, shots, paths, remarks, pictures, mut figures, .. } = self;
         verdict.sentences.extend(remarks);
         let count = paths.len();
         for (done, (shot, path)) in shots.iter().zip(&paths).enumerate() {
@@ -216,7 +250,7 @@ impl<'a> Series<'a> {
                 continue;
             }
             let bytes = std::fs::read(path).map_err(io(path))?;
-            if store::digest(&bytes) != shot.blake3 {
+            if disk::digest(&bytes) != shot.blake3 {
                 return Err(SeriesError::Changed(path.clone()));
             }
             session.keep(&copy, &bytes)?;
@@ -224,15 +258,63 @@ impl<'a> Series<'a> {
         let measured = utc_now();
         let software = concat!("unlit ", env!("CARGO_PKG_VERSION")).to_owned();
         let record = Record { schema: SCHEMA, measured, software, rig, shots, verdict, fit };
-        let folder = session.calibration_dir();
-        session.keep(&folder.join(format!("{kind}.svg")), chart::picture(figure).as_bytes())?;
-        let path = file(session, kind);
-        let bytes = serde_json::to_vec_pretty(&record)
-            .map_err(|e| RecordError::Damaged { path: path.clone(), reason: e.to_string() })?;
-        session.keep(&path, &bytes)?;
+        figures.push(("svg", chart::picture(figure).into_bytes()));
+        store(session, kind, &record, &figures)?;
         progress.report("copying the shots", count, count);
+        for (shot, picture) in record.shots.iter().zip(pictures) {
+            if let Some(picture) = picture {
+                report::shots::keep(session, &shot.blake3, &picture)?;
+            }
+        }
+        report::write(session, progress)?;
         Ok(record)
     }
+}
+
+/// Where the copy of a shot lies from the session's folder: told apart by content, called as it was.
+fn copy_name(kind: &str, file: &str, blake3: &str) -> String {
+    let mark = format!("{}_", blake3.get(..8).unwrap_or(blake3));
+    let name = file.rsplit('/').next().unwrap_or(file);
+    format!("calibration/{kind}/{mark}{}", name.strip_prefix(&mark).unwrap_or(name))
+}
+
+/// Makes a record the session's calibration of this kind, with its figures, each by what its file's name ends in. What the
+/// session had of this kind goes to `calibration/former/`, under the date of its measurement, even if it cannot be read
+/// any more: what was processed by it stays traceable. The record comes last: while it is the old one, all is as before.
+fn store<T: Serialize>(
+    session: &Session,
+    kind: &str,
+    record: &Record<T>,
+    figures: &[(&str, Vec<u8>)],
+) -> Result<(), SeriesError> {
+    #[derive(Default, serde::Deserialize)]
+    struct Dated {
+        #[serde(default)]
+        measured: String,
+    }
+    let path = file(session, kind);
+    let bytes = serde_json::to_vec_pretty(record)
+        .map_err(|e| RecordError::Damaged { path: path.clone(), reason: e.to_string() })?;
+    let folder = session.calibration_dir();
+    let there = |path: &Path| match std::fs::read(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+        other => other.map(Some).map_err(io(path)),
+    };
+    if let Some(former) = there(&path)?.filter(|former| *former != bytes) {
+        let Dated { measured } = serde_json::from_slice(&former).unwrap_or_default();
+        let date: String = measured.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').collect();
+        let name = format!("former/{kind}_{date}_{}", &disk::digest(&former)[..8]);
+        for ending in ["svg", "png"] {
+            if let Some(figure) = there(&folder.join(format!("{kind}.{ending}")))? {
+                session.keep(&folder.join(format!("{name}.{ending}")), &figure)?;
+            }
+        }
+        session.keep(&folder.join(format!("{name}.json")), &former)?;
+    }
+    for (ending, figure) in figures {
+        session.keep(&folder.join(format!("{kind}.{ending}")), figure)?;
+    }
+    Ok(session.keep(&path, &bytes)?)
 }
 
 /// A session's calibration of this kind; `None` if it was not made.
@@ -242,7 +324,7 @@ pub(super) fn load<T: DeserializeOwned>(
 ) -> Result<Option<Record<T>>, RecordError> {
     #[derive(serde::Deserialize)]
     struct Form {
-        schema: u32,
+        schema: Option<u32>,
     }
     let path = file(session, kind);
     let bytes = match std::fs::read(&path) {
@@ -250,14 +332,15 @@ pub(super) fn load<T: DeserializeOwned>(
         other => other.map_err(|source| RecordError::Io { path: path.clone(), source })?,
     };
     let damaged = |e: serde_json::Error| RecordError::Damaged { path: path.clone(), reason: e.to_string() };
-    let Form { schema: found } = serde_json::from_slice(&bytes).map_err(damaged)?;
+    let Form { schema } = serde_json::from_slice(&bytes).map_err(damaged)?;
+    let found = schema.ok_or_else(|| RecordError::Older(path.clone()))?;
     if found > SCHEMA {
         return Err(RecordError::TooNew { path, found });
     }
     serde_json::from_slice(&bytes).map(Some).map_err(damaged)
 }
 
-fn file(session: &Session, kind: &str) -> PathBuf {
+pub(super) fn file(session: &Session, kind: &str) -> PathBuf {
     session.calibration_dir().join(format!("{kind}.json"))
 }
 

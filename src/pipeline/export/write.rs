@@ -1,6 +1,7 @@
 //! One function a format. Every file appears whole or not at all, under the names that docs/export.md lists.
 
-use super::{Colour, ExportError, Exported, Model, clipped, name, space, transformed};
+use super::colour::{name, space, transformed};
+use super::{Colour, ExportError, Exported, Model, clipped};
 use crate::codec::asset::AssetError;
 use crate::codec::exr_image::{self, Exr, Meta};
 use crate::codec::icc::{self, LinearRgb};

@@ -55,7 +55,8 @@ pub(super) fn blocks(account: &FlashAccount) -> Vec<Block> {
     blocks
 }
 
-fn repeatability(run: &Repeatability) -> [Block; 2] {
+/// A repeatability run: its figures, and its shots in a chart.
+pub(in crate::pipeline) fn repeatability(run: &Repeatability) -> [Block; 2] {
     let of = |value: f64, error: f64| format!("{:.3} % \u{b1} {:.3} %", 100.0 * value, 100.0 * error);
     let facts = vec![
         fact("Repeatability run", format!("{} shots of one scene, nothing changed", run.shots.len())),

@@ -9,7 +9,8 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// How long the board has to answer, and how often it is asked.
+/// How long the board has to answer, and how often it is asked. The time counts only as far as it was spent listening: a
+/// computer that was too busy to listen, or was suspended, must not call the board silent.
 const ANSWER: Duration = Duration::from_millis(300);
 const TRIES: u32 = 3;
 /// Opening the port resets an Uno; its boot loader then takes up to this long.
@@ -157,10 +158,13 @@ impl Link {
         let request = line::request(self.seq, body);
         let sent = Instant::now();
         for _ in 0..tries {
-            let tried = Instant::now();
             self.write(request.as_bytes())?;
-            while tried.elapsed() < ANSWER {
-                match self.listen()? {
+            let mut listened = Duration::ZERO;
+            while listened < ANSWER {
+                let began = Instant::now();
+                let line = self.listen()?;
+                listened += began.elapsed().min(2 * READ);
+                match line {
                     Some(Line::Ok { seq, fields }) if seq == self.seq => {
                         return Ok(Answer { fields, sent, heard: Instant::now() });
                     }

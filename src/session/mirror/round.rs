@@ -14,8 +14,19 @@ use std::path::{Path, PathBuf};
 
 /// Folders whose own folders each hold one record and its originals, and never change.
 const UNITS: [(&str, &str); 2] = [("pairs", PAIR_RECORD), ("calibration/flash", shots::SHOT_RECORD)];
-/// Folders of single files, the originals before the lists that speak of them.
-const LOOSE: [&str; 4] = ["calibration/flash", "scene/originals", "calibration", "scene"];
+/// Folders of single originals, named by their digests.
+const ORIGINALS: [&str; 8] = [
+    "calibration/flash",
+    "calibration/levels",
+    "calibration/noise",
+    "calibration/exposure",
+    "calibration/flat",
+    "calibration/colour",
+    "calibration/steadiness",
+    "scene/originals",
+];
+/// Folders of the lists that speak of them, copied after them.
+const LISTS: [&str; 2] = ["calibration", "scene"];
 /// Folders of a session whose contents can be made again.
 const EMPTY: [&str; 2] = ["derived", "model"];
 /// Findings that one sentence names.
@@ -114,7 +125,9 @@ impl Copyist {
             other => Outcome::Failed(other.to_string()),
         })?;
         store::remove_temporaries(&self.folder).map_err(|error| failed(&self.folder, error))?;
-        for folder in EMPTY.iter().chain(UNITS.iter().map(|(folder, _)| folder)).chain(&LOOSE) {
+        for folder in
+            EMPTY.iter().chain(UNITS.iter().map(|(folder, _)| folder)).chain(&ORIGINALS).chain(&LISTS)
+        {
             let folder = self.folder.join(folder);
             std::fs::create_dir_all(&folder).map_err(|error| failed(&folder, error))?;
         }
@@ -134,7 +147,7 @@ impl Copyist {
             let mut others = entries.flatten().filter(|entry| {
                 let name = entry.file_name();
                 // What a first look made before it was interrupted is ours to fill.
-                let made = UNITS.iter().map(|u| u.0).chain(LOOSE).chain(EMPTY);
+                let made = UNITS.iter().map(|u| u.0).chain(ORIGINALS).chain(LISTS).chain(EMPTY);
                 !ours(&name.to_string_lossy())
                     && made.filter_map(|f| f.split('/').next()).all(|f| name.to_string_lossy() != f)
             });
@@ -216,15 +229,14 @@ impl Copyist {
                 }
             }
         }
-        for folder in LOOSE {
-            for (path, is_folder) in self.entries(Path::new(folder))? {
-                let named_by_content = matches!(folder, "calibration/flash" | "scene/originals");
-                match (is_folder, named_by_content) {
-                    (false, true) if !self.there.contains(&path) => missing.push(Missing::Original(path)),
-                    (false, false) => missing.push(Missing::Kept(path)),
-                    _ => {}
-                }
-            }
+        for folder in ORIGINALS {
+            let files = self.entries(Path::new(folder))?.into_iter().filter(|(_, is_folder)| !is_folder);
+            let new = files.filter(|(path, _)| !self.there.contains(path));
+            missing.extend(new.map(|(path, _)| Missing::Original(path)));
+        }
+        for folder in LISTS {
+            let files = self.entries(Path::new(folder))?.into_iter().filter(|(_, is_folder)| !is_folder);
+            missing.extend(files.map(|(path, _)| Missing::Kept(path)));
         }
         answered(missing.len() + 1);
         Ok(missing)

@@ -21,7 +21,7 @@ use std::process::Command;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use unlit::pipeline::process;
+use unlit::pipeline::standing;
 use unlit::progress::Progress;
 use unlit::session::{Session, store};
 use walk::{Told, Walk};
@@ -171,7 +171,7 @@ impl Campaign {
     fn finish_session(&mut self) {
         let left = Left::read(&self.folder());
         // Without a good pair there is nothing to make a model of, and without a change none to make.
-        let due = process::is_due(&Session::open_shared(&self.folder()).unwrap()).unwrap_or(false);
+        let due = standing::is_due(&Session::open_shared(&self.folder()).unwrap()).unwrap_or(false);
         let before = last_job(&self.home);
         let daemon = self.start();
         let client = daemon.client();
@@ -187,7 +187,7 @@ impl Campaign {
         self.mirrored(&client);
         daemon.stop();
         let session = Session::open_shared(&self.folder()).unwrap();
-        assert!(!process::is_due(&session).unwrap(), "the daemon has left something undone");
+        assert!(!standing::is_due(&session).unwrap(), "the daemon has left something undone");
         drop(session);
         let pairs = Left::read(&self.folder()).pairs.len();
         is_whole(&self.folder(), pairs);

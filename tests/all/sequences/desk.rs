@@ -23,6 +23,7 @@ fn no_works() -> Works {
     Works {
         process: Arc::new(|_, (), _| Err(none())),
         calibrate_flash: Arc::new(|_, _, _| Err(none())),
+        calibrate: Arc::new(|_, _, _| Err(none())),
         import_scene: Arc::new(|_, _, _| Err(none())),
         has_scene: Arc::new(|_| false),
         has_flash_calibration: Arc::new(|_| false),
