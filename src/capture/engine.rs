@@ -14,6 +14,7 @@ use super::prompt::Prompter;
 use super::run::Run;
 use super::wish::PairWish;
 use crate::pair::{Limits, Offered, PairRecord, Settings, Verdict};
+use crate::pipeline::levels;
 use crate::pipeline::scale::SessionScale;
 use crate::pipeline::stops::Earlier;
 use crate::progress::Progress;
@@ -191,6 +192,7 @@ impl Engine {
         let _lines_say_which = tracing::error_span!("pair", number = place.tag()).entered();
         tracing::info!("is being shot");
         self.shoot(&mut place, progress)?;
+        let measured = place.levels();
         let record = place.into_record().ok_or(PlaceError::Incomplete)?;
         if let Some(after_pair) = after_pair
             && record.verdict == Verdict::Accepted
@@ -203,7 +205,13 @@ impl Engine {
             "attempt": record.attempt,
             "verdict": record.verdict,
         });
-        self.events.tell(Topic::Pair, words_on(&record), data);
+        let mut words = words_on(&record);
+        if let Some(remark) =
+            levels::remark(&measured, &record.on.settings).filter(|_| record.verdict == Verdict::Accepted)
+        {
+            words = format!("{words} {remark}");
+        }
+        self.events.tell(Topic::Pair, words, data);
         Ok(record)
     }
 

@@ -23,6 +23,7 @@ mod run;
 mod sequence;
 mod taken;
 mod thumbnail;
+mod window;
 mod wish;
 
 pub use bench::{DeviceState, Devices, FlashKind, ListCameras, OpenCamera, OpenFlash, RigSource};

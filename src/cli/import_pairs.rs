@@ -48,6 +48,7 @@ pub(super) fn run(arguments: &Pairs) -> CliResult {
     for file in summary.unmatched_off.iter().chain(&summary.unmatched_on) {
         println!("{}: no partner of that name in the other folder, left out", file.display());
     }
+    summary.remarks.iter().for_each(|remark| println!("{remark}"));
     let stored = summary.imported.iter().filter(|i| !i.already_there).count();
     let rejected = summary.imported.iter().filter(|i| i.record.verdict == Verdict::Rejected).count();
     println!("{stored} pairs stored, {} there already, {rejected} rejected", summary.imported.len() - stored);

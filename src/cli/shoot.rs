@@ -8,7 +8,7 @@ use super::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::capture::{AfterPair, CaptureError, Engine, Events, ExposureWish, PairWish, Topic, words_on};
 use crate::pair::order::Order;
 use crate::pair::{Exposure, Plan, Verdict};
-use crate::pipeline::pairs;
+use crate::pipeline::{levels, pairs};
 use crate::progress::Progress;
 use crate::rig::LockState;
 use crate::session::{MirrorPatience, MirrorState, MirrorStatus, Session};
@@ -122,12 +122,21 @@ fn shoot(
     operator: Option<&AfterPair>,
     (bar, progress): (&ProgressBar, &Progress),
 ) -> Result<bool, CliError> {
-    let mut rejected = false;
+    let (mut rejected, mut said) = (false, None);
+    let measured = levels::load(session).map_err(CliError::new)?;
     for turn in 1..=pairs {
         bar.set_prefix(format!("{turn}/{}", pairs));
         let pair = engine.shoot_pair_as(session, wish, operator, progress).map_err(CliError::new)?;
         rejected |= pair.verdict == Verdict::Rejected;
         bar.suspend(|| println!("{}", words_on(&pair)));
+        // Once, not after every pair.
+        let remark = levels::remark(&measured, &pair.on.settings);
+        if let Some(remark) = remark.filter(|_| pair.verdict == Verdict::Accepted)
+            && said.as_ref() != Some(&remark)
+        {
+            bar.suspend(|| println!("{remark}"));
+            said = Some(remark);
+        }
     }
     Ok(rejected)
 }
@@ -180,12 +189,12 @@ fn show_lock(engine: &Engine, session: &Session, bar: &ProgressBar) -> Result<()
     session.confirm(&asked).map_err(CliError::new)
 }
 
-/// Shows that a device failed and is brought back.
+/// Shows that a device failed and is brought back, and what else goes wrong on the way.
 pub(super) fn tell_of_recovery(events: &Events, bar: ProgressBar) -> Result<(), CliError> {
     let (_, mut heard) = events.listen();
     let telling = move || {
         while let Ok(event) = heard.blocking_recv() {
-            if event.topic == Topic::Recovery {
+            if matches!(event.topic, Topic::Recovery | Topic::Trouble) {
                 bar.suspend(|| println!("{}", event.words));
             }
         }

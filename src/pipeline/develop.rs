@@ -15,6 +15,7 @@ use crate::pipeline::levels;
 use crate::pipeline::scale::{RatioError, SessionScale, of_calibration};
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
+use std::collections::BTreeSet;
 
 /// Why a pair could not be developed.
 #[derive(Debug, thiserror::Error)]
@@ -91,7 +92,7 @@ pub fn known_sites(
 
 /// Noise of frames of these settings: the session's own, else the flash calibration's. What was measured at another ISO is
 /// scaled, and said.
-pub(super) fn noise_of(
+fn noise_of(
     session: &Session,
     settings: &Settings,
     calibration: &FlashCalibration,
@@ -110,7 +111,25 @@ pub(super) fn noise_of(
     Ok(SessionNoise { model: Some(calibration.noise.at_iso(from, to)), remark: Some(remark) })
 }
 
-/// The same with the sensor's saturation and noise as given.
+/// What levels and noise of the session leave open for these pairs; an error if they are another body's.
+pub(super) fn remarks<'a>(
+    session: &Session,
+    calibration: &FlashCalibration,
+    pairs: impl Iterator<Item = &'a PairRecord>,
+) -> Result<Vec<String>, DevelopError> {
+    let measured = levels::load(session)?;
+    let mut found = BTreeSet::new();
+    for pair in pairs {
+        for frame in pair.dark_frames().chain([&pair.on]) {
+            levels::same_body(&measured, &frame.settings, &format!("pair {}", pair.name))?;
+            found.extend(levels::remark(&measured, &frame.settings));
+        }
+        found.extend(noise_of(session, &pair.on.settings, calibration)?.remark);
+    }
+    Ok(found.into_iter().collect())
+}
+
+/// As [`known_sites`], with the sensor's saturation and noise as given.
 pub(super) fn isolated_sites(
     session: &Session,
     pair: &PairRecord,

@@ -10,6 +10,7 @@ use crate::codec::{exif::settings as settings_of, raw};
 use crate::pair::order::Slot;
 use crate::pair::{
     self, Drift, Expected, FrameView, Judgement, Limits, PairRecord, Plan, Reason, ReasonCode, Settings,
+    Verdict,
 };
 use crate::photometry::inspect::Region;
 use crate::photometry::levels::MeasuredLevels;
@@ -19,7 +20,7 @@ use crate::pipeline::scale::{RatioError, SessionScale};
 use crate::pipeline::stops::{Delivery, Earlier, EarlierError};
 use crate::progress::{Cancelled, Progress};
 use crate::session::{Commit, Manifest, More, NewFrame, NewPair, Prepared, Session, SessionError, store};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// What cameras and programs lay beside their raws, not raws themselves.
@@ -44,6 +45,8 @@ pub struct Summary {
     pub unmatched_off: Vec<PathBuf>,
     /// Files with flash that have no partner.
     pub unmatched_on: Vec<PathBuf>,
+    /// Why the session's own sensor levels do not count for some of them.
+    pub remarks: BTreeSet<String>,
 }
 
 /// Why an import stopped. Pairs stored before stay.
@@ -141,6 +144,10 @@ pub fn import(
         progress.report("importing pairs", done, total);
         let imported = import_pair(session, (&measured, &mut earlier), &stem, [&off, &on], limits)?;
         each(&imported);
+        // Those of another body are rejected with that reason.
+        if imported.record.verdict == Verdict::Accepted {
+            summary.remarks.extend(levels::remark(&measured, &imported.record.on.settings));
+        }
         summary.imported.push(imported);
     }
     progress.report("importing pairs", total, total);

@@ -3,10 +3,9 @@
 use super::certify::CertificateError;
 use super::colour::{ColoursError, SessionColours};
 use super::cost::Cost;
-use super::develop::{DevelopError, noise_of};
+use super::develop::{self, DevelopError};
 use super::energy::{self, EnergyError, FlashAccount};
 use super::flash::{self, FlashError};
-use super::levels;
 use super::manifest::{StageManifest, digest};
 use super::memory::Needs;
 use super::scale::{Ratios, SessionScale};
@@ -29,7 +28,7 @@ use crate::reflectance::unwrap::{UnwrapError, UvChoice, UvSource};
 use crate::scene::{Camera, Mesh, Scene};
 use crate::session::{Session, SessionError, store};
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -325,7 +324,8 @@ impl Inputs {
             return Err(ProcessError::NoPairs(no_pairs(&left_out, &scene)));
         }
         let pairs: Vec<&PairRecord> = matched.iter().map(|(pair, _)| &**pair).collect();
-        let remarks = remarks(session, &calibrated.fit, &matched)?;
+        let of_pairs = matched.iter().map(|(pair, _)| pair.as_ref());
+        let remarks = develop::remarks(session, &calibrated.fit, of_pairs)?;
         let scaled = flash::scaled_for(&calibrated, pairs.iter().copied(), &scale)?;
         let colours = SessionColours::measured(session, &pairs)?;
         let mut parts: Vec<Vec<u8>> = vec![];
@@ -363,24 +363,6 @@ impl Inputs {
     pub(super) fn gain(&self, pair: &PairRecord) -> FlashGain {
         self.flash.scale.gain(pair.flash.as_ref())
     }
-}
-
-/// What levels and noise of the session leave open for these pairs; an error if they are another body's.
-fn remarks(
-    session: &Session,
-    calibration: &FlashCalibration,
-    pairs: &[(Arc<PairRecord>, Camera)],
-) -> Result<Vec<String>, DevelopError> {
-    let measured = levels::load(session)?;
-    let mut found = BTreeSet::new();
-    for (pair, _) in pairs {
-        for frame in pair.dark_frames().chain([&pair.on]) {
-            levels::same_body(&measured, &frame.settings, &format!("pair {}", pair.name))?;
-            found.extend(levels::remark(&measured, &frame.settings));
-        }
-        found.extend(noise_of(session, &pair.on.settings, calibration)?.remark);
-    }
-    Ok(found.into_iter().collect())
 }
 
 /// A pair's name and the digests of all its frames.

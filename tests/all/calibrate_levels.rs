@@ -126,4 +126,17 @@ fn levels_of_another_body_are_refused_and_those_of_another_iso_are_said_not_to_c
     let [off, on] = ["off", "on"].map(|side| folder.path().join(side).display().to_string());
     let (_, said, complained) = answer(&["import", "pairs", &session, "--off", &off, "--on", &on]);
     assert!(said.contains("rejected") && said.contains("(serial SIM0002)"), "{said}{complained}");
+    // The checks of a pair at an ISO without levels say so.
+    let path = std::path::Path::new(&session).join("calibration/levels.json");
+    let mut record: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    record["levels"][0]["iso"] = 800.0.into();
+    std::fs::write(&path, record.to_string()).unwrap();
+    let [off, on] = ["off", "on"].map(|side| {
+        let of_own_body = folder.path().join(format!("own_{side}"));
+        std::fs::create_dir(&of_own_body).unwrap();
+        std::fs::copy(file(&format!("bad/good_{side}.dng")), of_own_body.join("0002.dng")).unwrap();
+        of_own_body.display().to_string()
+    });
+    let (code, said, complained) = answer(&["import", "pairs", &session, "--off", &off, "--on", &on]);
+    assert!(code == Some(0) && said.contains("measured at ISO 800, not at ISO 100"), "{said}{complained}");
 }
