@@ -12,8 +12,8 @@ mod steadiness;
 pub mod tiles;
 
 pub use flash::{
-    CardResidual, CardShot, Cell, FieldFactor, FlashCalibration, FlashFacts, FlashFindings, FlashFitError,
-    Interval, Plane, Target, fit_flash,
+    CardResidual, CardShot, Cell, Correction, FieldFactor, FlashCalibration, FlashFacts, FlashFindings,
+    FlashFitError, FlatSource, Interval, Plane, Target, Vignetting, correct_flash, fit_flash,
 };
 pub use levels::LevelsFit;
 pub use noise::NoiseFit;

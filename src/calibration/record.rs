@@ -1,6 +1,6 @@
 //! A calibration as it is kept: figures, the shots that they come from, and of which rig they are true.
 
-use crate::pair::Settings;
+use crate::pair::{Lighting, Settings};
 use crate::units::{FNumber, Iso, Seconds};
 use serde::{Deserialize, Serialize};
 
@@ -27,7 +27,7 @@ pub struct Record<T> {
     pub fit: T,
 }
 
-/// Body and lens that took the shots, as their files tell; absent is what no file tells.
+/// Body and lens that took the shots, as their files tell (absent is what no file tells), and what the operator told.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Rig {
     /// Camera maker.
@@ -42,6 +42,9 @@ pub struct Rig {
     /// Lens model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lens: Option<String>,
+    /// Polariser and flash power.
+    #[serde(default, skip_serializing_if = "Lighting::is_untold")]
+    pub lighting: Lighting,
 }
 
 /// One shot of a series.
@@ -92,7 +95,7 @@ impl Rig {
     /// The rig that a file's settings tell.
     pub fn of(settings: &Settings) -> Self {
         let Settings { make, model, serial, lens, .. } = settings.clone();
-        Self { make, model, serial, lens }
+        Self { make, model, serial, lens, lighting: Lighting::default() }
     }
 
     /// Refuses a frame of another body. What either does not tell is not held against it.
@@ -106,6 +109,16 @@ impl Rig {
     pub fn same_lens(&self, settings: &Settings, of: &'static str) -> Result<(), OtherRig> {
         self.same_body(settings, of)?;
         same("lens", &settings.lens, &self.lens, of)
+    }
+
+    /// Refuses what was seen through another polariser, or through one where here is none. What nobody told counts as
+    /// none: a polariser takes half of the light and more.
+    pub fn same_polariser(&self, lighting: &Lighting, of: &'static str) -> Result<(), OtherRig> {
+        if self.lighting.same_polariser(lighting) {
+            return Ok(());
+        }
+        let (found, expected) = (lighting.polariser_words(), self.lighting.polariser_words());
+        Err(OtherRig { what: "polariser", found, expected, of })
     }
 }
 
@@ -126,6 +139,7 @@ fn same(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pair::Polariser;
 
     fn settings(model: &str, serial: Option<&str>, lens: Option<&str>) -> Settings {
         let text = |t: &str| t.to_owned();
@@ -147,6 +161,29 @@ mod tests {
         assert!(told(settings("EOS 6D", Some("18"), None)).contains("serial number is \"18\""));
         let lens = told(settings("EOS 6D", Some("17"), Some("35 mm")));
         assert_eq!(lens, "its lens is \"35 mm\", but that of the calibration is \"50 mm\"");
+    }
+
+    #[test]
+    fn another_polariser_is_refused() {
+        let through = |angle: f64| Lighting {
+            polariser: Some(Polariser { angle_degrees: Some(angle) }),
+            ..Lighting::default()
+        };
+        let rig = Rig { lighting: through(30.0), ..Rig::default() };
+        assert_eq!(rig.same_polariser(&through(210.0), "the calibration"), Ok(()));
+        let told = |rig: &Rig, other: Lighting| {
+            rig.same_polariser(&other, "the calibration").unwrap_err().to_string()
+        };
+        let crossed = told(&rig, through(120.0));
+        assert_eq!(
+            crossed,
+            "its polariser is \"at 120 degrees\", but that of the calibration is \"at 30 degrees\""
+        );
+        assert!(told(&rig, Lighting::default()).contains("polariser is \"none\""));
+        assert!(told(&Rig::default(), through(0.0)).contains("calibration is \"none\""));
+        let json = serde_json::to_string(&rig).unwrap();
+        assert_eq!(serde_json::from_str::<Rig>(&json).unwrap(), rig);
+        assert_eq!(serde_json::to_string(&Rig::default()).unwrap(), "{}");
     }
 
     #[test]

@@ -194,6 +194,7 @@ impl Place for PairPlace<'_> {
                 program: self.program,
                 off: shots.more_off.iter().map(Delivered::new_frame).collect(),
                 after: shots.after.iter().map(Delivered::new_frame).collect(),
+                crossed: None,
                 drift: shots.drift,
                 again: self.again,
             },

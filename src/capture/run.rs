@@ -335,6 +335,8 @@ impl<'a> Run<'a> {
                 Part::Off => 0,
                 Part::On => 1,
                 Part::After => 2,
+                // No program shoots one.
+                Part::Crossed => continue,
             };
             of_part[part].push(Delivered {
                 shot: &frame.shot,
@@ -369,6 +371,7 @@ fn words_on(slot: Slot, program: Program) -> String {
         Part::On => return "Taking the frame with flash".into(),
         Part::Off => "without flash",
         Part::After => "without flash once more",
+        Part::Crossed => return "Taking the frame with flash through the crossed polariser".into(),
     };
     match program.off_frames() {
         1 => format!("Taking the frame {what}"),

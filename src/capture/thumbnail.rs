@@ -5,7 +5,6 @@
 //! comparable; the sRGB curve follows.
 
 use crate::codec::{jpeg, raw};
-use crate::pair::order::Part;
 use crate::pair::{FrameRecord, PairRecord};
 use crate::photometry::Mosaic;
 use crate::pipeline::develop::exposure_ratio;
@@ -73,7 +72,7 @@ pub(super) fn of_known_light(session: &Session, pair: &PairRecord) -> Result<Pat
     // What one frame does not tell counts as equal: this is for the eye, and processing will name it.
     let room = exposure_ratio(&pair.on.settings, &pair.off.settings).unwrap_or(1.0) as f32;
     let on = reduced(&raw::read(&place.join(&pair.on.file))?.mosaic);
-    let dark: Vec<_> = frames.iter().filter(|(slot, _)| slot.part != Part::On).collect();
+    let dark: Vec<_> = frames.iter().filter(|(slot, _)| !slot.part.is_lit()).collect();
     let share = room / dark.len() as f32;
     let mut known = on;
     for (_, frame) in dark {

@@ -1,5 +1,6 @@
 //! `unlit import pairs`: flash-off/flash-on pairs from two folders.
 
+use super::lighting::LightingArgs;
 use super::{CliError, CliResult, Exit, open_session};
 use crate::pair::Verdict;
 use crate::pipeline::pairs::{self, Imported};
@@ -22,11 +23,14 @@ pub(super) struct Pairs {
     /// JSON file with limits of the checks; what it does not name keeps its default.
     #[arg(long)]
     limits: Option<PathBuf>,
+    #[command(flatten)]
+    lighting: LightingArgs,
 }
 
 pub(super) fn run(arguments: &Pairs) -> CliResult {
     let limits = pairs::read_limits(arguments.limits.as_deref()).map_err(CliError::new)?;
     let session = open_session(&arguments.session)?;
+    arguments.lighting.tell(&session)?;
     let bar = ProgressBar::new(0);
     if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len}") {
         bar.set_style(style);

@@ -15,6 +15,7 @@ mod import;
 mod import_pairs;
 mod import_scene;
 mod inspect;
+mod lighting;
 mod new;
 mod openapi;
 mod process;

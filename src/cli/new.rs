@@ -1,5 +1,6 @@
 //! `unlit new`: makes a session.
 
+use super::lighting::LightingArgs;
 use super::{CliError, CliResult, Exit};
 use crate::session::Session;
 use clap::Args;
@@ -12,6 +13,8 @@ pub(super) struct New {
     /// Name of the session, if not the folder's.
     #[arg(long)]
     name: Option<String>,
+    #[command(flatten)]
+    lighting: LightingArgs,
 }
 
 pub(super) fn run(arguments: &New) -> CliResult {
@@ -21,6 +24,7 @@ pub(super) fn run(arguments: &New) -> CliResult {
     };
     let name = arguments.name.clone().or_else(folder_name).unwrap_or_else(|| "session".to_owned());
     let session = Session::create(&arguments.session, &name).map_err(CliError::new)?;
+    arguments.lighting.tell(&session)?;
     println!("made session {name} in {}", session.path().display());
     Ok(Exit::Success)
 }

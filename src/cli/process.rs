@@ -70,6 +70,9 @@ pub(super) fn run(args: &Args) -> CliResult {
     for left in &summary.left_out {
         println!("left out {}: {}", left.name, left.why);
     }
+    for what in &summary.scaled {
+        println!("SCALED: {what}");
+    }
     for mesh in &summary.turned {
         println!("{mesh} was seen from behind; its triangles were turned to face the cameras");
     }

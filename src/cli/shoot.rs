@@ -1,6 +1,7 @@
 //! `unlit shoot`: pairs from the terminal, by the same engine as the daemon's.
 
 use super::devices::DeviceArgs;
+use super::lighting::LightingArgs;
 use super::sequence::{self, Crew, SequenceArgs};
 use super::settings::ConfigArgs;
 use super::{CliError, CliResult, Exit, open_session, progress_bar};
@@ -54,12 +55,15 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE")]
     limits: Option<PathBuf>,
     #[command(flatten)]
+    lighting: LightingArgs,
+    #[command(flatten)]
     _config: ConfigArgs,
 }
 
 pub(super) fn run(args: Args) -> CliResult {
     let limits = pairs::read_limits(args.limits.as_deref()).map_err(CliError::new)?;
     let session = open_or_make(&args.session)?;
+    args.lighting.tell(&session)?;
     let wish = PairWish { order: args.order, off_frames: args.off_frames, again: args.again };
     wish.program(&session).map_err(CliError::new)?;
     let (source, studio) = args.devices.prepare()?;

@@ -62,13 +62,7 @@ fn calibrate_flash(session: &Session, card: FlashCard, progress: &Progress) -> R
         }
     };
     let shots: Vec<CardFiles> = card.shots.into_iter().map(files).collect();
-    let facts = CardFacts {
-        target: Target::lambertian(card.target_reflectance),
-        paper: false,
-        vignetting: None,
-        ring_radii: card.ring_radii,
-        focal_px: None,
-    };
+    let facts = CardFacts::plain(Target::lambertian(card.target_reflectance), card.ring_radii);
     let fit = flash::calibrate(session, &shots, &facts, progress).map_err(|error| match error {
         FlashError::Cancelled(_) => WorkError::Cancelled,
         other => WorkError::failed("calibration_failed", other),

@@ -90,7 +90,7 @@ pub(super) struct PairBody {
     attempt: u32,
     /// All attempts at it.
     attempts: Vec<AttemptBody>,
-    /// In which order its frames were shot: `off_on`, `on_off` or `off_on_off`.
+    /// In which order its frames were shot: `off_on`, `on_off` or `off_on_off` (brought in: `off_on_crossed`).
     #[schema(value_type = String, example = "off_on")]
     order: Order,
     /// The frame without flash; the first of them, where there are several.
@@ -101,6 +101,9 @@ pub(super) struct PairBody {
     on: FrameBody,
     /// Frames without flash after it.
     after: Vec<FrameBody>,
+    /// A further frame with flash, through a polariser turned across.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    crossed: Option<FrameBody>,
     /// How room and tripod drifted from the first frame without flash to the last; absent where there is one alone.
     drift: Option<DriftBody>,
     /// Where to fetch a small JPEG of the light that the flash alone threw: on less off.
@@ -115,7 +118,7 @@ impl PairBody {
         let record = &**pair::current(attempts)?;
         let number = record.number;
         let folder = pair::Attempt::from(record);
-        let mut frames = [Vec::new(), Vec::new(), Vec::new()];
+        let mut frames = [const { Vec::new() }; 4];
         for (slot, f) in record.frames() {
             let body = FrameBody {
                 url: links::file(session, &format!("pairs/{folder}/{}", f.file)),
@@ -129,10 +132,11 @@ impl PairBody {
                 Part::Off => 0,
                 Part::On => 1,
                 Part::After => 2,
+                Part::Crossed => 3,
             }]
             .push(body);
         }
-        let [mut off, mut on, after] = frames;
+        let [mut off, mut on, after, mut crossed] = frames;
         Some(Self {
             url: links::pair(session, number),
             number,
@@ -141,6 +145,7 @@ impl PairBody {
             off: off.pop()?,
             on: on.pop()?,
             after,
+            crossed: crossed.pop(),
             attempt: record.attempt,
             attempts: attempts.iter().map(|record| AttemptBody::from(&**record)).collect(),
             order: record.order,

@@ -17,8 +17,8 @@
 //! and an annulus is the outer disc less the inner. The form holds while the whole annulus is above the
 //! element's horizon; where the horizon cuts it, the sum over 256 equal-area points takes its place.
 //! The ring may lie a little before or behind the lens, and its radiance may fall with `cos^n` of the emission angle
-//! (a lobe beside Lambert's own cosine): the closed form is then multiplied by the mean of that factor over 32
-//! equal-area points, each weighed by its share of the light.
+//! (a lobe beside Lambert's own cosine): the closed form is then multiplied by the mean of that factor over 36
+//! points, each weighed by its share of the light.
 //! Shadow rays go to points on the rims first, to equal-area points where those disagree.
 
 use super::Occluders;
@@ -45,8 +45,12 @@ const FINE: usize = 256;
 /// Cosine of the emission angle below which a lobe changes no more.
 const LEAST_COSINE: f64 = 1e-3;
 
-/// Points over which the lobe's mean is taken.
-const COARSE: usize = 32;
+/// Circles of a sum over the ring, by Gauss and Legendre over the area: share of the area that lies farther in, and weight.
+const GAUSS: [(f64, f64); 3] =
+    [(0.112_701_665_379_258_3, 5.0 / 18.0), (0.5, 8.0 / 18.0), (0.887_298_334_620_741_7, 5.0 / 18.0)];
+
+/// Points on each of them.
+const SPOKES: usize = 12;
 
 /// Points of the lamp that one of several looks at much the same place takes, so that all looks together take an even
 /// spread of them.
@@ -121,14 +125,26 @@ impl Ring {
             return even;
         }
         let (mut all, mut lobed) = (0.0, 0.0);
-        for lamp in PLACES.coarse.iter().map(|place| self.at(place, DVec2::X)) {
-            let share = form(lamp, point, normal);
+        for (place, weight) in &PLACES.gauss {
+            let lamp = self.at(place, DVec2::X);
+            let share = weight * form(lamp, point, normal);
             all += share;
             lobed += share * self.lobe_towards(lamp, point);
         }
         // Where the horizon leaves none of the points, the sliver's highest stands for all.
         let highest = (self.outer * normal.truncate().normalize_or_zero()).extend(self.offset);
         even * if all > 0.0 { lobed / all } else { self.lobe_towards(highest, point) }
+    }
+
+    /// The same without the closed form, as a sum over 36 points of the ring: a render of its own, to check by.
+    pub fn summed_irradiance(&self, point: DVec3, normal: DVec3) -> f64 {
+        let area = PI * (self.outer * self.outer - self.inner * self.inner);
+        let of = |(place, weight): &(Place, f64)| {
+            let lamp = self.at(place, DVec2::X);
+            let lobe = if self.lobe == 0.0 { 1.0 } else { self.lobe_towards(lamp, point) };
+            weight * form(lamp, point, normal) * lobe
+        };
+        area * PLACES.gauss.iter().map(of).sum::<f64>()
     }
 
     /// cos^n of the angle under which a point of the ring shines at a place.
@@ -238,10 +254,10 @@ impl Place {
 /// All places that sums and shadow rays take, for their sines are dear.
 struct Places {
     fine: Vec<Place>,
-    coarse: Vec<Place>,
     rims: Vec<Place>,
     spread: Vec<Place>,
     even: Vec<Place>,
+    gauss: Vec<(Place, f64)>,
 }
 
 static PLACES: LazyLock<Places> = LazyLock::new(|| {
@@ -254,12 +270,16 @@ static PLACES: LazyLock<Places> = LazyLock::new(|| {
     });
     // Halton's sequence: any run of it is even, and every second place lies opposite the one before it.
     let even = (0..FINE as u32).map(|i| Place::new(behind_point(i, 3), behind_point(i, 2)));
+    let gauss = (0..GAUSS.len() * SPOKES).map(|i| {
+        let (share, weight) = GAUSS[i / SPOKES];
+        (Place::new(share, (i % SPOKES) as f64 / SPOKES as f64), weight / SPOKES as f64)
+    });
     Places {
         fine: (0..FINE).map(|i| Place::spread(i, FINE)).collect(),
-        coarse: (0..COARSE).map(|i| Place::spread(i, COARSE)).collect(),
         rims: outer.chain(inner).collect(),
         spread: spread.collect(),
         even: even.collect(),
+        gauss: gauss.collect(),
     }
 });
 

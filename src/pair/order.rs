@@ -5,6 +5,7 @@
 //! | `off_on`     | off x n, on               | the usual one                                                     |
 //! | `on_off`     | on, off x n               | the object must be lit first (it settles, or somebody leaves)      |
 //! | `off_on_off` | off x n, on, after x n    | the room's light or the tripod may drift                          |
+//! | `off_on_crossed` | off x n, on, crossed  | what shines can be told from what is matt (not shot by us yet)    |
 //!
 //! # Why n
 //! The known light is `P_on - P_off`, with the variance `s_on^2 + s_off^2 / n` if the mean of n dark frames is taken
@@ -40,10 +41,12 @@ pub enum Order {
     OnOff,
     /// Without flash, with it, and without it once more: tells how room and tripod drift.
     OffOnOff,
+    /// Without flash, with it, and with it through a polariser turned across. Records may have it; nothing shoots it yet.
+    OffOnCrossed,
 }
 
 impl Order {
-    /// All of them.
+    /// All that can be shot.
     pub const ALL: [Order; 3] = [Order::OffOn, Order::OnOff, Order::OffOnOff];
 
     fn name(self) -> &'static str {
@@ -51,6 +54,7 @@ impl Order {
             Order::OffOn => "off-on",
             Order::OnOff => "on-off",
             Order::OffOnOff => "off-on-off",
+            Order::OffOnCrossed => "off-on-crossed",
         }
     }
 }
@@ -67,6 +71,9 @@ pub enum OrderError {
     /// No such order.
     #[error("there is no order {0:?}; choose off-on, on-off or off-on-off")]
     Unknown(String),
+    /// One that records may have, but that nothing shoots.
+    #[error("the order {0} cannot be shot; choose off-on, on-off or off-on-off")]
+    NotShot(Order),
     /// Too many frames, or none.
     #[error("a pair cannot have {0} frames without flash in a row; choose 1 to {MOST_OFF_FRAMES}")]
     Frames(u64),
@@ -85,7 +92,7 @@ impl FromStr for Order {
     }
 }
 
-/// What a frame of a pair is for. There may be more of them one day: a lit frame through a crossed polariser.
+/// What a frame of a pair is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Part {
     /// The room's light alone.
@@ -94,12 +101,14 @@ pub enum Part {
     On,
     /// The room's light alone once more, after the lit frame.
     After,
+    /// The room's light and the flash's once more, through a polariser turned across.
+    Crossed,
 }
 
 impl Part {
     /// Whether the flash is to light it.
     pub fn is_lit(self) -> bool {
-        self == Part::On
+        matches!(self, Part::On | Part::Crossed)
     }
 
     fn name(self) -> &'static str {
@@ -107,6 +116,7 @@ impl Part {
             Part::Off => "off",
             Part::On => "on",
             Part::After => "after",
+            Part::Crossed => "crossed",
         }
     }
 }
@@ -126,6 +136,8 @@ impl Slot {
     pub const OFF: Slot = Slot { part: Part::Off, index: 1 };
     /// The frame with flash.
     pub const ON: Slot = Slot { part: Part::On, index: 1 };
+    /// The frame with flash through a polariser turned across.
+    pub const CROSSED: Slot = Slot { part: Part::Crossed, index: 1 };
 
     /// Whether a pair without it is none. The others are there to lower noise and to measure drift.
     pub fn is_needed(self) -> bool {
@@ -160,10 +172,10 @@ impl FromStr for Slot {
     type Err = OrderError;
 
     fn from_str(text: &str) -> Result<Self, OrderError> {
-        let slots = [Part::Off, Part::On, Part::After]
+        let slots = [Part::Off, Part::On, Part::After, Part::Crossed]
             .into_iter()
             .flat_map(|part| (1..=MOST_OFF_FRAMES).map(move |index| Slot { part, index }));
-        let mut slots = slots.filter(|slot| slot.part != Part::On || slot.index == 1);
+        let mut slots = slots.filter(|slot| !slot.part.is_lit() || slot.index == 1);
         slots.find(|slot| slot.to_string() == text).ok_or_else(|| OrderError::Slot(text.to_owned()))
     }
 }
@@ -187,6 +199,9 @@ impl Program {
         if !(1..=MOST_OFF_FRAMES).contains(&off_frames) {
             return Err(OrderError::Frames(off_frames.into()));
         }
+        if !Order::ALL.contains(&order) {
+            return Err(OrderError::NotShot(order));
+        }
         Ok(Self { order, off_frames })
     }
 
@@ -208,6 +223,7 @@ impl Program {
             Order::OffOn => off.chain(on).collect(),
             Order::OnOff => on.chain(off).collect(),
             Order::OffOnOff => off.chain(on).chain(row(Part::After)).collect(),
+            Order::OffOnCrossed => off.chain(on).chain([Slot::CROSSED]).collect(),
         }
     }
 
@@ -271,7 +287,11 @@ mod tests {
                 assert_eq!(slot.to_string().parse(), Ok(slot));
             }
         }
-        for wrong in ["", "off-1", "off-17", "on-2", "off-02", "before", "../off"] {
+        assert_eq!("crossed".parse(), Ok(Slot::CROSSED));
+        assert!(Slot::CROSSED.part.is_lit() && !Slot::CROSSED.is_needed());
+        let error = Program::new(Order::OffOnCrossed, 1).unwrap_err().to_string();
+        assert!(error.contains("off-on-crossed cannot be shot"), "{error}");
+        for wrong in ["", "off-1", "off-17", "on-2", "crossed-2", "off-02", "before", "../off"] {
             assert!(wrong.parse::<Slot>().is_err(), "{wrong}");
         }
         assert!("off-off".parse::<Order>().unwrap_err().to_string().contains("off-on-off"));

@@ -1,7 +1,7 @@
 //! `pair.json`: what a session keeps of one pair.
 
 use super::order::{Order, Part, Program, Slot};
-use super::{Drift, FlashRecord, Settings};
+use super::{Drift, FlashRecord, Lighting, Polariser, Settings};
 use serde::{Deserialize, Serialize};
 use std::borrow::Borrow;
 use std::fmt;
@@ -68,6 +68,9 @@ pub struct FrameRecord {
     pub blake3: String,
     /// Settings out of the file's EXIF.
     pub settings: Settings,
+    /// The polariser that it was seen through, where it is another than the pair's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub polariser: Option<Polariser>,
     /// The JPEG that the camera wrote of the same release, where it writes RAW+JPEG.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub jpeg: Option<CompanionRecord>,
@@ -166,6 +169,12 @@ pub struct PairRecord {
     /// Frames without flash shot after it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub after: Vec<FrameRecord>,
+    /// A further frame with flash, through a polariser turned across. Nothing is made of it yet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crossed: Option<FrameRecord>,
+    /// Polariser and flash power, as the operator told them.
+    #[serde(default, skip_serializing_if = "Lighting::is_untold")]
+    pub lighting: Lighting,
     /// How room and tripod drifted from the first frame without flash to the last; absent where there is one alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drift: Option<Drift>,
@@ -181,6 +190,7 @@ impl PairRecord {
             .chain(numbered(Part::Off, 2, &self.more_off))
             .chain(numbered(Part::On, 1, std::slice::from_ref(&self.on)))
             .chain(numbered(Part::After, 1, &self.after))
+            .chain(numbered(Part::Crossed, 1, self.crossed.as_slice()))
     }
 
     /// The frames that show the room's light alone.
@@ -265,5 +275,28 @@ mod tests {
         let names: Vec<String> = record.frames().map(|(slot, _)| slot.to_string()).collect();
         assert_eq!(names, ["off", "on"]);
         assert_eq!(serde_json::to_value(&record).unwrap(), old, "and is written as it was");
+    }
+
+    #[test]
+    fn a_lit_frame_through_a_crossed_polariser_is_told_with_its_angle_and_is_no_dark_frame() {
+        let frame = |name: &str| {
+            serde_json::json!({
+                "file": name, "original_name": name, "bytes": 3, "blake3": name, "settings": {}
+            })
+        };
+        let mut crossed = frame("crossed.dng");
+        crossed["polariser"] = serde_json::json!({ "angle_degrees": 120.0 });
+        let told = serde_json::json!({
+            "number": 3, "name": "0003", "verdict": "accepted", "reasons": [], "order": "off_on_crossed",
+            "off": frame("off.dng"), "on": frame("on.dng"), "crossed": crossed,
+            "lighting": { "polariser": { "angle_degrees": 30.0 }, "flash_power": 0.5 }
+        });
+        let record: PairRecord = serde_json::from_value(told.clone()).unwrap();
+        let names: Vec<String> = record.frames().map(|(slot, _)| slot.to_string()).collect();
+        assert_eq!(names, ["off", "on", "crossed"]);
+        let angle = record.frame(Slot::CROSSED).unwrap().polariser.unwrap().angle_degrees;
+        assert_eq!((record.order, angle), (Order::OffOnCrossed, Some(120.0)));
+        assert_eq!(record.dark_frames().count(), 1);
+        assert_eq!(serde_json::to_value(&record).unwrap(), told);
     }
 }

@@ -1,5 +1,6 @@
 //! One pair's files to its known light and the lamp that made it.
 
+use crate::calibration::exposure::ScaleSource;
 use crate::calibration::{FlashCalibration, OtherRig};
 use crate::codec::raw::RawError;
 use crate::pair::{PairRecord, Settings};
@@ -110,11 +111,8 @@ pub(super) fn isolated_sites(
     let folder = session.pair_dir(pair);
     let read = |file: &str| levels::read(&folder.join(file), measured);
     let (on, off) = rayon::join(|| read(&pair.on.file), || read(&pair.off.file));
-    let table = SessionScale::load(session)?
-        .between(&pair.on.settings, &pair.off.settings)
-        .map_err(|source| DevelopError::OtherBody { name: pair.name.clone(), source })?;
-    let scale = exposure_ratio_by(&table, &pair.on.settings, &pair.off.settings)
-        .map_err(|setting| DevelopError::Lacking { name: pair.name.clone(), setting })?;
+    let scale = SessionScale::load(session)?;
+    let scale = room_ratio(&pair.name, &scale, [&pair.on.settings, &pair.off.settings])?;
     let (on, off) = (on?.mosaic, off?.mosaic);
     let unfit = |source| DevelopError::Isolate { name: pair.name.clone(), source };
     let mut further = pair.dark_frames().skip(1).peekable();
@@ -129,15 +127,40 @@ pub(super) fn isolated_sites(
     isolate_mean(&on, &room, scale as f32, noise).map_err(unfit)
 }
 
-/// The lamp as the pair's lit frame saw it: the room's light goes with t ISO / N^2, the flash's with ISO / N^2
-/// alone, because a flash is over before the shutter closes. `scale` is the session's.
+/// The room's light in a lit frame over that in an unlit one, by the session's scale; `name` is told in errors.
+pub(super) fn room_ratio(
+    name: &str,
+    scale: &SessionScale,
+    [on, off]: [&Settings; 2],
+) -> Result<f64, DevelopError> {
+    let name = || name.to_owned();
+    let table = scale.between(on, off).map_err(|source| DevelopError::OtherBody { name: name(), source })?;
+    exposure_ratio_by(&table, on, off).map_err(|setting| DevelopError::Lacking { name: name(), setting })
+}
+
+/// The lamp as the pair's lit frame saw it. `scale` is the session's.
 pub fn lamp(
     pair: &PairRecord,
     calibration: &FlashCalibration,
     scale: &SessionScale,
 ) -> Result<Lamp, DevelopError> {
-    let settings = &pair.on.settings;
-    let unknown = |setting| DevelopError::Unknown { name: pair.name.clone(), setting };
+    let (gain, _) = flash_ratio(&pair.name, &pair.on.settings, calibration, scale)?;
+    Ok(Lamp {
+        ring: calibration.ring,
+        radiance: calibration.radiance.map(|r| r * gain),
+        field: calibration.field,
+    })
+}
+
+/// The flash's light at these settings over that at the calibration's, and where that comes from: the room's light goes
+/// with t ISO / N^2, the flash's with ISO / N^2 alone, because a flash is over before the shutter closes.
+pub(super) fn flash_ratio(
+    name: &str,
+    settings: &Settings,
+    calibration: &FlashCalibration,
+    scale: &SessionScale,
+) -> Result<(f64, ScaleSource), DevelopError> {
+    let unknown = |setting| DevelopError::Unknown { name: name.to_owned(), setting };
     let ratio = |now: Option<f64>, then: Option<f64>, setting| match (now, then) {
         (Some(now), Some(then)) => Ok(now / then),
         (None, None) => Ok(1.0),
@@ -147,15 +170,12 @@ pub fn lamp(
     let then = Settings { iso, aperture, shutter: settings.shutter, ..Settings::default() };
     let table = scale
         .between(settings, &then)
-        .map_err(|source| DevelopError::OtherBody { name: pair.name.clone(), source })?;
+        .map_err(|source| DevelopError::OtherBody { name: name.to_owned(), source })?;
+    let source = table.source(settings, &then);
     let (iso, aperture) = (|v| table.gain(Iso(v)), |v| table.aperture(FNumber(v)));
     let gain = ratio(settings.iso.map(|s| iso(s.0)), calibration.iso.map(iso), "ISO")?
         * ratio(settings.aperture.map(|n| aperture(n.0)), calibration.aperture.map(aperture), "aperture")?;
-    Ok(Lamp {
-        ring: calibration.ring,
-        radiance: calibration.radiance.map(|r| r * gain),
-        field: calibration.field,
-    })
+    Ok((gain, source))
 }
 
 /// S_on / S_off with S = t ISO / N^2, by what the labels stand for. What neither frame tells counts as equal; what one of them lacks is an error

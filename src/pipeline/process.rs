@@ -9,7 +9,7 @@ use super::manifest::{StageManifest, digest};
 use super::memory::Needs;
 use super::scene::{self, SceneError};
 use super::{output, solve, uvs};
-use crate::calibration::{FlashCalibration, Record};
+use crate::calibration::FlashCalibration;
 use crate::codec::asset::AssetError;
 use crate::codec::png::PngError;
 use crate::export::glb::GlbError;
@@ -55,6 +55,9 @@ pub struct ProcessSummary {
     pub used: Vec<String>,
     /// Pairs that did not, with the reason.
     pub left_out: Vec<LeftOut>,
+    /// What differs from the flash calibration and was scaled, a sentence each.
+    #[serde(default)]
+    pub scaled: Vec<String>,
     /// Side of the texture.
     pub texture_size: usize,
     /// Share of the object's texels that at least one view sees.
@@ -215,6 +218,8 @@ pub(super) struct Inputs {
     /// Accepted pairs with their cameras, by name.
     pub(super) matched: Vec<(Arc<PairRecord>, Camera)>,
     pub(super) left_out: Vec<LeftOut>,
+    /// What differs from the flash calibration and is scaled, in words.
+    pub(super) scaled: Vec<String>,
     /// The flash over the session.
     pub(super) flash: FlashAccount,
     /// Where the object's texture coordinates were asked to come from, and did.
@@ -288,7 +293,7 @@ fn outputs(uvs: &UvSource) -> Vec<String> {
 
 impl Inputs {
     pub(super) fn read(session: &Session) -> Result<Self, ProcessError> {
-        let Record { fit: calibration, rig, .. } = flash::record(session)?;
+        let calibrated = flash::record(session)?;
         let scale = SessionScale::load(session).map_err(DevelopError::from)?;
         let flash = energy::account(session)?;
         let scene = scene::load(session)?;
@@ -307,7 +312,7 @@ impl Inputs {
         if matched.is_empty() {
             return Err(ProcessError::NoPairs(no_pairs(&left_out, &scene)));
         }
-        matched.iter().try_for_each(|(pair, _)| flash::holds_for(&rig, pair))?;
+        let scaled = flash::scaled_for(&calibrated, matched.iter().map(|(pair, _)| &**pair), &scale)?;
         let mut parts: Vec<Vec<u8>> = vec![];
         for path in [flash::file(session), session.scene_dir().join("scene.json")] {
             parts.push(std::fs::read(&path).map_err(io(&path))?);
@@ -329,11 +334,14 @@ impl Inputs {
         // Gains come out of it, and the report tells all of it.
         parts.push(format!("{flash:?}").into_bytes());
         // The report and the summary tell of these too.
+        parts.extend(scaled.iter().map(|what| what.clone().into_bytes()));
         for left in &left_out {
             parts.push(format!("without {}: {}", left.name, left.why).into_bytes());
         }
         let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
-        Ok(Self { calibration, scale, scene, matched, left_out, flash, uvs: Default::default(), key })
+        let calibration = calibrated.fit;
+        let uvs = Default::default();
+        Ok(Self { calibration, scale, scene, matched, left_out, scaled, flash, uvs, key })
     }
 
     /// The energy of a pair's pulse against the calibration's.
@@ -411,5 +419,8 @@ mod tests {
         pair["more_off"] = serde_json::json!([frame("c")]);
         pair["after"] = serde_json::json!([frame("d"), frame("e")]);
         assert_eq!(of(&pair), "0001 a b c d e");
+        pair["order"] = serde_json::json!("off_on_crossed");
+        pair["crossed"] = frame("f");
+        assert_eq!(of(&pair), "0001 a b c d e", "nothing is made of a lit frame through a crossed polariser");
     }
 }

@@ -98,6 +98,7 @@ fn figures(told: &Told<'_>) -> Vec<Block> {
         ),
     ];
     blocks.extend(range.warnings().into_iter().map(Block::Text));
+    blocks.extend(summary.scaled.iter().map(|what| Block::Text(format!("Scaled: {what}."))));
     blocks
 }
 
@@ -288,6 +289,7 @@ mod tests {
             plan: None,
             region: None,
             confirmed: Vec::new(),
+            lighting: Default::default(),
         };
         let calibration = FlashCalibration {
             ring: Ring::new(0.035, 0.085).unwrap(),
@@ -298,6 +300,7 @@ mod tests {
             target_reflectance: 0.94,
             iso: None,
             aperture: None,
+            focal_length_mm: None,
             energy_counts: None,
             cards: vec![CardResidual {
                 label: "card-far.dng".into(),
@@ -309,6 +312,7 @@ mod tests {
                 used: true,
                 left_out: None,
                 prediction_error: None,
+                prediction_half: None,
                 held_out: false,
             }],
             rms: 0.0037,
@@ -317,6 +321,7 @@ mod tests {
         let summary = ProcessSummary {
             used: vec!["0001".into()],
             left_out: vec![LeftOut { name: "0002".into(), why: "rejected: <the vase moved>".into() }],
+            scaled: vec!["pair 0001: shot at ISO 200".into()],
             texture_size: 640,
             seen: 0.875,
             median_deviation: 0.0123,
@@ -371,6 +376,7 @@ mod tests {
             "0.37 %",
             "card-far.dng",
             "rejected: &lt;the vase moved&gt;",
+            "Scaled: pair 0001: shot at ISO 200.",
             "camera RGB, uncalibrated",
             "reflectance.exr",
         ] {

@@ -3,9 +3,10 @@
 
 use super::sidecars::sidecars;
 use super::{Event, Numbering, PAIR_RECORD, Session, SessionError, digests, room, store, to_json};
-use crate::pair::order::{Part, Program, Slot};
+use crate::pair::order::{Order, Part, Program, Slot};
 use crate::pair::{
-    Attempt, CompanionRecord, Drift, FlashRecord, FrameRecord, PairRecord, Reason, Settings, Verdict,
+    Attempt, CompanionRecord, Drift, FlashRecord, FrameRecord, Lighting, PairRecord, Polariser, Reason,
+    Settings, Verdict,
 };
 use std::path::{Path, PathBuf};
 
@@ -86,6 +87,8 @@ pub struct More<'a> {
     pub off: Vec<NewFrame<'a>>,
     /// Frames without flash after the lit one.
     pub after: Vec<NewFrame<'a>>,
+    /// A further frame with flash, and the polariser that it was seen through.
+    pub crossed: Option<(NewFrame<'a>, Polariser)>,
     /// How room and tripod drifted meanwhile.
     pub drift: Option<Drift>,
     /// The rejected pair in whose stead this one was shot.
@@ -96,27 +99,34 @@ impl<'a> NewPair<'a> {
     /// All frames, in the order in which a record tells them.
     fn frames(&self) -> impl Iterator<Item = &NewFrame<'a>> {
         let one = std::iter::once;
-        one(&self.off).chain(&self.more.off).chain(one(&self.on)).chain(&self.more.after)
+        let crossed = self.more.crossed.iter().map(|(frame, _)| frame);
+        one(&self.off).chain(&self.more.off).chain(one(&self.on)).chain(&self.more.after).chain(crossed)
     }
 
     /// What will be told of it.
-    fn record(&self, own: Attempt, name: String) -> PairRecord {
+    fn record(&self, own: Attempt, name: String, lighting: Lighting) -> PairRecord {
         let row = |part: Part, from: u8, frames: &[NewFrame]| -> Vec<FrameRecord> {
             let slots = (from..).map(|index| Slot { part, index });
             frames.iter().zip(slots).map(|(frame, slot)| frame_record(&slot.to_string(), frame)).collect()
         };
+        let crossed = self.more.crossed.as_ref().map(|(frame, polariser)| FrameRecord {
+            polariser: Some(*polariser),
+            ..frame_record(&Slot::CROSSED.to_string(), frame)
+        });
         PairRecord {
             number: own.number,
             attempt: own.attempt,
             name,
             verdict: if self.reasons.is_empty() { Verdict::Accepted } else { Verdict::Rejected },
             reasons: self.reasons.clone(),
-            order: self.more.program.order(),
+            order: if crossed.is_some() { Order::OffOnCrossed } else { self.more.program.order() },
             off_frames: self.more.program.off_frames(),
             off: frame_record("off", &self.off),
             more_off: row(Part::Off, 2, &self.more.off),
             on: frame_record("on", &self.on),
             after: row(Part::After, 1, &self.more.after),
+            crossed,
+            lighting,
             drift: self.more.drift,
             flash: self.flash.clone(),
         }
@@ -147,7 +157,8 @@ impl Session {
     /// Stores a pair; when this returns, it is on the disk. A name that is taken by the same files
     /// changes nothing; taken by others, it is an error.
     pub fn commit_pair(&self, new: NewPair) -> Result<Commit, SessionError> {
-        if new.more.again.is_some() || new.more.program != Program::default() {
+        let usual = new.more.program == Program::default() && new.more.crossed.is_none();
+        if new.more.again.is_some() || !usual {
             self.raise_schema()?;
         }
         let mut numbering = self.numbering()?;
@@ -156,7 +167,7 @@ impl Session {
             (None, Some(name)) => (Attempt::first(numbering.next), checked_name(name)?),
             (None, None) => shot_name(&numbering),
         };
-        let record = new.record(own, name);
+        let record = new.record(own, name, self.manifest().lighting);
         if new.more.again.is_none()
             && let Some(taken) = numbering.names.get(&record.name)
         {
@@ -317,6 +328,7 @@ pub fn frame_record(role: &str, frame: &NewFrame) -> FrameRecord {
         bytes: frame.bytes.len() as u64,
         blake3: frame.digest(),
         settings: frame.settings.clone(),
+        polariser: None,
         jpeg: frame.jpeg.map(|(bytes, name)| CompanionRecord {
             file: format!("{role}.jpg"),
             original_name: name.to_owned(),

@@ -43,7 +43,7 @@ pub use sequence::{
 pub use shots::{InterruptedShot, SHOT_ABANDONED, SHOT_INTERRUPTED, SHOT_STARTED, SHOT_STORED};
 pub use verify::{Damage, Finding, Verification};
 
-use crate::pair::{Attempt, Plan, Window};
+use crate::pair::{Attempt, Lighting, Plan, Window};
 use lock::Access;
 use numbering::{Numbering, digests};
 use serde::{Deserialize, Serialize};
@@ -80,6 +80,9 @@ pub struct Manifest {
     /// Settings of the exposure lock that the camera does not tell and the operator has confirmed, by name.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub confirmed: Vec<String>,
+    /// Polariser and flash power of the pairs that come, as the operator told them.
+    #[serde(default, skip_serializing_if = "Lighting::is_untold")]
+    pub lighting: Lighting,
 }
 
 /// An open session; closing it (dropping) gives the lock back.
@@ -128,6 +131,7 @@ impl Session {
             plan: None,
             region: None,
             confirmed: Vec::new(),
+            lighting: Lighting::default(),
         };
         journal::append(&path.join(JOURNAL), Event::SessionCreated)?;
         let file = path.join(MANIFEST);
@@ -249,6 +253,11 @@ impl Session {
     /// Sets where the object is; `None` is the whole frame.
     pub fn set_region(&self, region: Option<Window>) -> Result<(), SessionError> {
         self.amend(|manifest| manifest.region = region)
+    }
+
+    /// Says how the pairs that come are lit and seen; those that are there keep what was told of them.
+    pub fn set_lighting(&self, lighting: Lighting) -> Result<(), SessionError> {
+        self.amend(|manifest| manifest.lighting = lighting)
     }
 
     /// Notes that the operator has checked these settings of the exposure lock by eye.

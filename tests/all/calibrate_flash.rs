@@ -3,7 +3,9 @@
 use crate::samples::shared;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
+use unlit::pipeline::process::is_due;
+use unlit::session::Session;
 
 const DISTANCES: [(&str, &str); 5] =
     [("0.5", "d0500"), ("0.8", "d0800"), ("1.0", "d1000"), ("1.3", "d1300"), ("1.7", "d1700")];
@@ -16,9 +18,13 @@ fn truth() -> Value {
     serde_json::from_slice(&std::fs::read(file("truth/scene.json")).unwrap()).unwrap()
 }
 
+fn run(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap()
+}
+
 /// Runs the program; gives what it printed.
 fn unlit(arguments: &[&str]) -> String {
-    let output = Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap();
+    let output = run(arguments);
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     let complained = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "unlit {arguments:?} ended with {}: {said}{complained}", output.status);
@@ -44,15 +50,47 @@ fn card_shots() -> Vec<String> {
 fn calibrated(shots: &[String], more: &[&str]) -> (tempfile::TempDir, Value) {
     let folder = tempfile::tempdir().unwrap();
     let session = session(folder.path());
-    let mut arguments =
-        vec!["calibrate", "flash", session.to_str().unwrap(), "--json", "--ring-radii", "0.035,0.085"];
-    arguments.extend(["--focal-px", "758.3333333", "--target-reflectance", "0.94"]);
-    arguments.extend(more);
-    arguments.push("--shots");
-    arguments.extend(shots.iter().map(String::as_str));
-    let record = serde_json::from_str(&unlit(&arguments)).unwrap();
+    let record = calibrated_in(&session, shots, &[&["--ring-radii", "0.035,0.085"], more].concat());
     (folder, record)
 }
+
+/// The same in a session that is there.
+fn calibrated_in(session: &Path, shots: &[String], more: &[&str]) -> Value {
+    let arguments = arguments(session, shots, more);
+    serde_json::from_str(&unlit(&arguments.iter().map(String::as_str).collect::<Vec<_>>())).unwrap()
+}
+
+fn arguments(session: &Path, shots: &[String], more: &[&str]) -> Vec<String> {
+    let mut arguments = vec!["calibrate", "flash", session.to_str().unwrap(), "--json"];
+    arguments.extend(["--focal-px", "758.3333333"]);
+    if !more.contains(&"--target-reflectance") {
+        arguments.extend(["--target-reflectance", "0.94"]);
+    }
+    arguments.extend(more);
+    arguments.push("--shots");
+    arguments.iter().map(|s| s.to_string()).chain(shots.iter().cloned()).collect()
+}
+
+/// Copies of card shots whose EXIF tells another value of a tag (a rational).
+fn relabelled(shots: &[String], folder: &Path, tag: u16, value: [u32; 2]) -> Vec<String> {
+    let entry: Vec<u8> =
+        [tag.to_le_bytes(), 5u16.to_le_bytes()].concat().into_iter().chain(1u32.to_le_bytes()).collect();
+    let copy = |shot: &String| {
+        let (distance, path) = shot.split_once('=').unwrap();
+        let mut bytes = std::fs::read(path).unwrap();
+        let at = bytes.windows(8).position(|w| w == entry).unwrap() + 8;
+        let place = u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+        bytes[place..place + 8].copy_from_slice(&value.map(u32::to_le_bytes).concat());
+        std::fs::create_dir_all(folder).unwrap();
+        let to = folder.join(Path::new(path).file_name().unwrap());
+        std::fs::write(&to, bytes).unwrap();
+        format!("{distance}={}", to.display())
+    };
+    shots.iter().map(copy).collect()
+}
+
+const EXPOSURE_TIME: u16 = 0x829A;
+const F_NUMBER: u16 = 0x829D;
 
 /// Radiance of the scene's flash in DN above black, red green blue.
 fn true_radiance() -> [f64; 3] {
@@ -105,6 +143,189 @@ fn with_the_vignetting_given_the_lobe_is_found_to_be_none() {
     println!("{found:#}");
     assert!(holds(&found["lobe_exponent"], 0.0), "{}", found["lobe_exponent"]);
     assert!(holds(&found["offset_m"], 0.0), "{}", found["offset_m"]);
+}
+
+/// A session with the flat field that its evenly lit frames tell.
+fn with_flat_field(folder: &Path) -> PathBuf {
+    let session = session(folder);
+    let frames: Vec<String> = (0..10)
+        .flat_map(|i| (0..2).map(move |k| file(&format!("calibration/linearity/{i:02}_{k}.dng"))))
+        .collect();
+    let mut arguments = vec!["calibrate", "flat", session.to_str().unwrap()];
+    arguments.extend(frames.iter().map(String::as_str));
+    unlit(&arguments);
+    session
+}
+
+#[test]
+fn the_sessions_flat_field_is_taken_as_the_vignetting_so_that_the_lobe_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = with_flat_field(folder.path());
+    let ring = ["--ring-radii", "0.035,0.085"];
+    let record = calibrated_in(&session, &card_shots(), &ring);
+    let found = &record["findings"];
+    println!("{found:#}");
+    assert_eq!(found["vignetting_given"], true);
+    assert!(holds(&found["lobe_exponent"], 0.0), "{}", found["lobe_exponent"]);
+    assert!(holds(&found["offset_m"], 0.0), "{}", found["offset_m"]);
+    for (c, wanted) in true_radiance().into_iter().enumerate() {
+        let got = record["radiance"][c].as_f64().unwrap();
+        println!("radiance {got} of {wanted}: {:+.4} %", 100.0 * (got / wanted - 1.0));
+        assert!((got / wanted - 1.0).abs() < 0.002 && holds(&found["radiance_dn"][c], wanted));
+    }
+    assert_eq!(found["flat_field"]["blake3"].as_str().unwrap().len(), 64);
+    assert!(
+        record["verdict"].to_string().contains("is that of the session's flat field"),
+        "{}",
+        record["verdict"]
+    );
+    // One of another aperture is not; then the product is told, and that it is.
+    let wider = relabelled(&card_shots(), &folder.path().join("wider"), F_NUMBER, [8, 1]);
+    let record = calibrated_in(&session, &wider, &ring);
+    let said = record["verdict"].to_string();
+    assert!(record["findings"]["lobe_exponent"].is_null() && record["findings"]["flat_field"].is_null());
+    assert!(said.contains("flat field is not used") && said.contains("aperture"), "{said}");
+    assert!(said.contains("only the product of vignetting and lobe is known"), "{said}");
+}
+
+#[test]
+fn the_shutter_is_nowhere_in_the_calibration() {
+    let folder = tempfile::tempdir().unwrap();
+    let ring = ["--ring-radii", "0.035,0.085"];
+    let mut shots = card_shots();
+    let told = |shots: &[String]| {
+        let record = calibrated(shots, &[]).1;
+        let shutters: Vec<f64> =
+            record["shots"].as_array().unwrap().iter().map(|s| s["shutter"].as_f64().unwrap()).collect();
+        let parts = ["radiance", "radiance_error", "ring", "field", "findings", "noise", "verdict"];
+        (parts.map(|part| record[part].clone()), shutters)
+    };
+    let (plain, _) = told(&shots);
+    let slow = relabelled(&shots, &folder.path().join("slow"), EXPOSURE_TIME, [1, 15]);
+    let (other, shutters) = told(&slow);
+    assert!(shutters.iter().all(|s| (s - 1.0 / 15.0).abs() < 1e-9), "{shutters:?}");
+    assert_eq!(other, plain);
+    // Nor when it differs within a series.
+    shots[4..].clone_from_slice(&slow[4..]);
+    let (mixed, shutters) = told(&shots);
+    assert!(shutters[0] < 0.01 && shutters[14] > 0.06);
+    assert_eq!(mixed, plain);
+    // The aperture is: it must be one.
+    let wider = relabelled(&card_shots(), &folder.path().join("wider"), F_NUMBER, [8, 1]);
+    shots[4..].clone_from_slice(&wider[4..]);
+    let arguments = arguments(&session(folder.path()), &shots, &ring);
+    let output = run(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && said.contains("aperture"), "{said}");
+}
+
+#[test]
+fn one_shot_brings_a_calibration_to_the_flashs_new_energy() {
+    let truth = truth();
+    let shots = card_shots();
+    // A card taken for darker than it is: as if the flash had given twice the energy then.
+    let folder = tempfile::tempdir().unwrap();
+    let session = session(folder.path());
+    let base = [shots[3..6].to_vec(), shots[9..].to_vec()].concat();
+    calibrated_in(&session, &base, &["--ring-radii", "0.035,0.085", "--target-reflectance", "0.47"]);
+    let before = std::fs::read(session.join("calibration/flash.json")).unwrap();
+    let record = calibrated_in(&session, &shots[7..8], &["--one-shot"]);
+    println!("{:#}", record["findings"]);
+    let jitter = truth["calibration"]["white"][7]["jitter"].as_f64().unwrap();
+    let found = &record["findings"];
+    for (c, wanted) in true_radiance().into_iter().enumerate() {
+        let got = record["radiance"][c].as_f64().unwrap();
+        println!("radiance {got} of {}: {:+.4} %", wanted * jitter, 100.0 * (got / wanted / jitter - 1.0));
+        assert!((got / (wanted * jitter) - 1.0).abs() < 0.002);
+        assert!(holds(&found["radiance_dn"][c], wanted));
+        let factor = found["correction"]["factor"][c].as_f64().unwrap();
+        assert!((factor / 0.5 - 1.0).abs() < 0.01, "{factor}");
+        let second = found["second_render_ratio"][c].as_f64().unwrap();
+        assert!((second - 1.0).abs() <= 2e-4, "{second}");
+    }
+    assert_eq!(record["verdict"]["good"], true, "{}", record["verdict"]);
+    let kept = session.join(found["correction"]["base_file"].as_str().unwrap());
+    assert_eq!(std::fs::read(kept).unwrap(), before, "the calibration before is kept");
+    // Through another aperture the field is another one.
+    let wider = relabelled(&shots[7..8], &folder.path().join("wider"), F_NUMBER, [8, 1]);
+    let refused = |shots: &[String]| {
+        let arguments = arguments(&session, shots, &["--one-shot"]);
+        let output = run(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+        assert!(!output.status.success());
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let said = refused(&wider);
+    assert!(said.contains("aperture is \"f/8\""), "{said}");
+    assert!(refused(&shots[6..8]).contains("exactly one"));
+}
+
+#[test]
+fn processing_refuses_pairs_that_the_calibration_does_not_hold_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = session(folder.path());
+    let name = session.to_str().unwrap();
+    for side in ["off", "on"] {
+        std::fs::create_dir(folder.path().join(side)).unwrap();
+        let to = folder.path().join(format!("{side}/000.dng"));
+        std::fs::copy(file(&format!("photos/{side}/000.dng")), to).unwrap();
+    }
+    let [off, on] = ["off", "on"].map(|side| folder.path().join(side).display().to_string());
+    unlit(&[
+        "import",
+        "pairs",
+        name,
+        "--off",
+        &off,
+        "--on",
+        &on,
+        "--polariser",
+        "30",
+        "--flash-power",
+        "1/4",
+    ]);
+    let (cameras, object, floor) =
+        (file("geometry/cameras.xml"), file("geometry/object.obj"), file("geometry/floor.obj"));
+    unlit(&["import", "scene", name, "--cameras", &cameras, "--mesh", &object, "--mesh", &floor]);
+    let manifest: Value =
+        serde_json::from_slice(&std::fs::read(session.join("session.json")).unwrap()).unwrap();
+    assert_eq!(manifest["lighting"]["polariser"]["angle_degrees"], 30.0);
+    let due = || is_due(&Session::open(&session).unwrap()).map_err(|e| e.to_string());
+    let calibrate = |more: &[&str]| {
+        calibrated_in(&session, &card_shots()[3..9], &[&["--ring-radii", "0.035,0.085"], more].concat())
+    };
+    // The session's polariser and power are the calibration's, unless it is told otherwise.
+    let record = calibrate(&[]);
+    assert_eq!(record["rig"]["lighting"]["flash_power"], 0.25, "{}", record["rig"]);
+    assert_eq!(due(), Ok(true));
+    for (more, what) in [
+        (
+            ["--polariser", "120"],
+            "its polariser is \"at 30 degrees\", but that of the flash calibration is \"at 120 degrees\"",
+        ),
+        (["--polariser", "none"], "calibration is \"none\""),
+        (["--flash-power", "1/2"], "at 0.25 of its full power"),
+    ] {
+        calibrate(&more);
+        let said = due().unwrap_err();
+        assert!(said.contains("pair 000") && said.contains(what), "{said}");
+        let output = run(&["process", name]);
+        assert!(!output.status.success() && String::from_utf8_lossy(&output.stderr).contains(what));
+    }
+    calibrate(&[]);
+    let path = session.join("calibration/flash.json");
+    let kept: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    for (part, key, value, what) in [
+        ("rig", "serial", "SIM0002".into(), "body serial number"),
+        ("rig", "model", "Bayer 16".into(), "camera model"),
+        ("", "focal_length_mm", 50.0.into(), "focal length"),
+    ] {
+        let mut other = kept.clone();
+        let place = if part.is_empty() { &mut other } else { &mut other[part] };
+        place[key] = value;
+        std::fs::write(&path, serde_json::to_vec(&other).unwrap()).unwrap();
+        let said = due().unwrap_err();
+        assert!(said.contains(what) && said.contains("pair 000"), "{said}");
+    }
 }
 
 #[test]

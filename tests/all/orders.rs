@@ -103,6 +103,7 @@ impl House {
             target_reflectance: 0.9,
             iso: None,
             aperture: None,
+            focal_length_mm: None,
             energy_counts: None,
             cards: vec![],
             rms: 0.0,

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use unlit::pair::{Attempt, Reason, ReasonCode, Settings, Verdict};
+use unlit::pair::{Attempt, Lighting, Polariser, Reason, ReasonCode, Settings, Verdict};
 use unlit::progress::Progress;
 use unlit::session::{Commit, Damage, Event, More, NewFrame, NewPair, Session, SessionError, Verification};
 
@@ -45,6 +45,30 @@ fn temporaries(folder: &Path) -> Vec<String> {
         }
     }
     found
+}
+
+#[test]
+fn a_lit_frame_through_a_crossed_polariser_is_kept_with_its_angle() {
+    let home = tempfile::tempdir().unwrap();
+    let path = home.path().join("bath");
+    let session = Session::create(&path, "bath").unwrap();
+    let at = |angle| Polariser { angle_degrees: Some(angle) };
+    let lighting = Lighting { polariser: Some(at(30.0)), flash_power: Some(0.25) };
+    session.set_lighting(lighting).unwrap();
+    let plain = stored(session.commit_pair(pair(Some("plain"), b"dark", b"lit")).unwrap());
+    assert_eq!((plain.lighting, plain.crossed), (lighting, None));
+    let mut new = pair(Some("both"), b"dark2", b"lit2");
+    new.more.crossed = Some((frame(b"crossed", "c.dng"), at(120.0)));
+    let record = stored(session.commit_pair(new).unwrap());
+    assert_eq!(record.crossed.as_ref().unwrap().polariser, Some(at(120.0)));
+    drop(session);
+    let session = Session::open(&path).unwrap();
+    assert_eq!((*session.pair(record.number).unwrap()).clone(), record, "as it is on the disk");
+    assert_eq!(session.manifest().lighting, lighting);
+    let files = record.frames().map(|(slot, frame)| format!("{slot} {}", frame.file)).collect::<Vec<_>>();
+    assert_eq!(files, ["off off.dng", "on on.cr2", "crossed crossed.dng"]);
+    let found = session.verify(&Progress::silent()).unwrap();
+    assert!(found.findings.is_empty() && found.originals == 5, "{found:?}");
 }
 
 #[test]

@@ -23,6 +23,7 @@ fn record(number: u32, off: FlashSync, on: FlashSync) -> PairRecord {
         bytes: 0,
         blake3: String::new(),
         settings: Settings::default(),
+        polariser: None,
         jpeg: None,
     };
     PairRecord {
@@ -37,6 +38,8 @@ fn record(number: u32, off: FlashSync, on: FlashSync) -> PairRecord {
         more_off: vec![],
         on: frame(),
         after: vec![],
+        crossed: None,
+        lighting: Default::default(),
         drift: None,
         flash: Some(FlashRecord { off: vec![off], on: vec![on] }),
     }

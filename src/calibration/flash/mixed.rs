@@ -10,12 +10,13 @@
 //!
 //! give the marginal normal equations `sum_s (A - c c' k) step = sum_s (g - c H k)`, `k = sigma^2 / (1 + sigma^2 W)`
 //! (Woodbury's identity; Searle, Casella, McCulloch, "Variance Components", 1992, ch. 6), solved by
-//! Levenberg-Marquardt. sigma is found by restricted maximum likelihood, whose score is
-//! `sum (H / (1 + sigma^2 W))^2 - tr(Z' P Z)`; phi is the mean square of the residuals within the shots. Intervals
+//! Levenberg-Marquardt. sigma is found by restricted maximum likelihood (module `variance`); phi is the mean square of
+//! the residuals within the shots. Intervals
 //! are Student's with Satterthwaite's degrees of freedom, which count shots and not cells where the jitter decides
 //! (Giesbrecht and Burns, Biometrics 41, 1985).
 
 use super::linear::Symmetric;
+use super::variance::jitter;
 
 /// Most evaluations of the model.
 const MOST_ROUNDS: usize = 60;
@@ -26,9 +27,6 @@ const SLACK: f64 = 0.02;
 
 /// Steps below this part of the standard errors end the search.
 const CLOSE: f64 = 1e-3;
-
-/// Degrees of freedom that the shots must leave for the jitter to be found from them.
-const LEAST_FREEDOM: f64 = 1.5;
 
 /// What the fit needs of one shot at some parameters; residuals and derivatives are relative to the model, weights by
 /// the sensor's variance alone.
@@ -124,7 +122,10 @@ fn gradient_of(s: &ShotSums, variance: f64, phi: f64) -> Vec<f64> {
 
 fn normal(sums: &[ShotSums], precision: &[f64], variance: f64, phi: f64) -> Symmetric {
     let mut n = Symmetric::zero(precision.len());
-    sums.iter().for_each(|s| n.add(&normal_of(s, variance, phi), 1.0));
+    for s in sums {
+        n.add(&s.a, 1.0 / phi);
+        n.add_outer(&s.c, -kernel(s, variance, phi) / phi);
+    }
     precision.iter().enumerate().for_each(|(i, p)| n.add_diagonal(i, *p));
     n
 }
@@ -143,49 +144,6 @@ fn dispersion(sums: &[ShotSums], unknowns: usize) -> f64 {
     if freedom > 0.0 { (within / freedom).max(1.0) } else { 1.0 }
 }
 
-/// Score of the restricted likelihood and twice its expected information at a jitter variance.
-fn restricted(sums: &[ShotSums], precision: &[f64], variance: f64, phi: f64) -> Option<(f64, f64)> {
-    let inverse = normal(sums, precision, variance, phi).inverse()?;
-    let damp = |s: &ShotSums| 1.0 / (phi + variance * s.w);
-    let d: Vec<Vec<f64>> = sums.iter().map(|s| s.c.iter().map(|c| c * damp(s)).collect()).collect();
-    let (mut score, mut information) = (0.0, 0.0);
-    for (i, s) in sums.iter().enumerate() {
-        let projected = inverse.times(&d[i]);
-        for (j, dj) in d.iter().enumerate() {
-            let own = if i == j { s.w * damp(s) } else { 0.0 };
-            let p = own - projected.iter().zip(dj).map(|(a, b)| a * b).sum::<f64>();
-            information += p * p;
-            score -= if i == j { p } else { 0.0 };
-        }
-        score += (s.h * damp(s)).powi(2);
-    }
-    Some((score, information))
-}
-
-/// The jitter's variance and the degrees of freedom by which it is known; that of `usual` where the shots leave too few.
-fn jitter(sums: &[ShotSums], precision: &[f64], usual: f64, phi: f64) -> Option<(f64, Option<f64>)> {
-    let otherwise = usual * usual;
-    let freedom = |variance: f64| {
-        restricted(sums, precision, variance, phi).map(|(_, twice)| variance * variance * twice)
-    };
-    if freedom(otherwise)? < LEAST_FREEDOM {
-        return Some((otherwise, None));
-    }
-    let (mut low, mut high) = (1e-14f64, 1.0f64);
-    if restricted(sums, precision, low, phi)?.0 <= 0.0 {
-        // No jitter is seen beside the sensor's noise.
-        return Some((0.0, Some(freedom(otherwise)?)));
-    }
-    for _ in 0..30 {
-        let middle = (low * high).sqrt();
-        match restricted(sums, precision, middle, phi)?.0 > 0.0 {
-            true => low = middle,
-            false => high = middle,
-        }
-    }
-    Some((low, Some(freedom(low)?)))
-}
-
 /// Fits from a start; `usual` is the jitter (relative standard deviation) that is taken where the shots are too few to tell
 /// it. `None` if the shots cannot tell all parameters apart.
 pub(super) fn solve(model: &impl Model, start: Vec<f64>, usual: f64) -> Option<Solution> {
@@ -193,10 +151,11 @@ pub(super) fn solve(model: &impl Model, start: Vec<f64>, usual: f64) -> Option<S
     let unknowns = start.len();
     let (mut theta, mut damping) = (start, 0.0f64);
     let mut sums = model.sums(&theta)?;
-    let mut settled = 0;
+    let (mut settled, mut before) = (0, None);
     for _ in 0..MOST_ROUNDS {
         let phi = dispersion(&sums, unknowns);
-        let (variance, freedom) = jitter(&sums, precision, usual, phi)?;
+        let (variance, freedom) = jitter(&sums, precision, usual, phi, before)?;
+        before = freedom.map(|_| variance);
         let plain = normal(&sums, precision, variance, phi);
         let covariance = plain.inverse()?;
         if settled == 2 {
@@ -243,19 +202,34 @@ impl Solution {
 
     /// Satterthwaite's degrees of freedom of a linear form's variance; `None` if nothing of it was estimated.
     fn freedom_of(&self, form: &[f64]) -> Option<f64> {
-        let freedom = self.freedom?;
+        let part = self.slope(form) * self.variance / self.covariance.form(form);
+        self.freedom_of_part(part)
+    }
+
+    /// Degrees of freedom of a variance of which the jitter's own is this part, in logarithms.
+    fn freedom_of_part(&self, part: f64) -> Option<f64> {
+        // The variance of the estimated variance is 2 variance^2 / freedom.
+        self.freedom.filter(|_| part > 1e-6).map(|freedom| (freedom / (part * part)).max(1.0))
+    }
+
+    /// By how much a linear form's variance grows with the jitter's.
+    fn slope(&self, form: &[f64]) -> f64 {
         let spread = self.covariance.times(form);
-        let slope: f64 = self
-            .sums
+        self.sums
             .iter()
             .map(|s| {
                 let along: f64 = s.c.iter().zip(&spread).map(|(a, b)| a * b).sum();
                 (along / (self.dispersion + self.variance * s.w)).powi(2)
             })
-            .sum();
-        // The variance of the estimated variance is 2 variance^2 / freedom.
-        let part = slope * self.variance / self.covariance.form(form);
-        (part > 1e-6).then(|| (freedom / (part * part)).max(1.0))
+            .sum()
+    }
+
+    /// Half of the 95 % interval within which the light of a shot outside of the fit is off its prediction, relative.
+    pub(super) fn half_prediction(&self, shot: &ShotSums) -> f64 {
+        let form: Vec<f64> = shot.c.iter().map(|c| c / shot.w).collect();
+        let all = self.variance + self.dispersion / shot.w + self.covariance.form(&form);
+        let part = self.variance * (1.0 + self.slope(&form)) / all;
+        all.sqrt() * self.freedom_of_part(part).map_or(NORMAL, student)
     }
 
     /// What a shot would have been off a fit made without it (one step from the optimum), relative.

@@ -1,8 +1,8 @@
 //! What a cell of a card shot reads, by the unknowns of the fit, and its derivatives.
 
-use super::FieldFactor;
 use super::card::SeenShot;
 use super::mixed::{Model, ShotSums};
+use super::{FieldFactor, Vignetting};
 use crate::light::Ring;
 use rayon::prelude::*;
 
@@ -59,12 +59,15 @@ const FIELD: usize = 3;
 const FIELD_BEFOREHAND: f64 = 10.0;
 
 /// The card shots of one flash. Unknowns: logarithms of the radiances over `radiance`; the field's coefficients, unless
-/// given; the figures in their order.
+/// given, or the slope alone of a flat field that has an error; the figures in their order.
 pub(super) struct Cards<'a> {
     shots: &'a [SeenShot],
     ring: Ring,
     radiance: [f64; 3],
-    vignetting: Option<FieldFactor>,
+    /// What the field's free coefficients count from.
+    field: FieldFactor,
+    /// How many of them are free, the slope first.
+    bends: usize,
     figures: Vec<Figure>,
     precision: Vec<f64>,
     /// Geometric mean of the distances.
@@ -84,17 +87,26 @@ impl<'a> Cards<'a> {
         shots: &'a [SeenShot],
         ring: Ring,
         radiance: [f64; 3],
-        vignetting: Option<FieldFactor>,
+        vignetting: Option<Vignetting>,
         figures: Vec<Figure>,
     ) -> Self {
         let mut precision = vec![0.0; 3];
-        if vignetting.is_none() {
-            precision.extend([FIELD_BEFOREHAND.powi(-2); FIELD]);
+        match vignetting {
+            None => precision.extend([FIELD_BEFOREHAND.powi(-2); FIELD]),
+            Some(v) if v.corner_error > 0.0 => precision.push(v.corner_error.powi(-2)),
+            Some(_) => {}
         }
+        let bends = precision.len() - 3;
+        let field = vignetting.map_or(FieldFactor { coefficients: [0.0; 3] }, |v| v.field);
         precision.extend(figures.iter().map(|f| f.beforehand().powi(-2)));
         let logs: f64 = shots.iter().map(|s| s.distance.ln()).sum();
         let middle = (logs / shots.len().max(1) as f64).exp();
-        Self { shots, ring, radiance, vignetting, figures, precision, middle }
+        Self { shots, ring, radiance, field, bends, figures, precision, middle }
+    }
+
+    /// What is fitted beside radiance and field.
+    pub(super) fn figures(&self) -> &[Figure] {
+        &self.figures
     }
 
     /// Where the search begins.
@@ -117,9 +129,8 @@ impl<'a> Cards<'a> {
             offset: self.ring.offset + of(Figure::Offset),
             lobe: self.ring.lobe + of(Figure::Lobe),
         };
-        let field = self.vignetting.unwrap_or_else(|| FieldFactor {
-            coefficients: std::array::from_fn(|i| theta.get(3 + i).copied().unwrap_or_default()),
-        });
+        let mut field = self.field;
+        field.coefficients.iter_mut().zip(&theta[3..3 + self.bends]).for_each(|(a, t)| *a += t);
         let nearest = self.shots.iter().map(|s| s.distance).fold(f64::INFINITY, f64::min);
         let sound = Ring::new(ring.inner, ring.outer).is_ok()
             && ring.offset.abs() < 0.5 * nearest
@@ -150,22 +161,20 @@ impl<'a> Cards<'a> {
         for cell in &shot.cells {
             let light = |ring: Ring| ring.irradiance(cell.point, shot.normal);
             let field = flash.field.at_q(cell.q);
-            let unit = light(flash.ring) * cell.target * field * (-flash.excess * far).exp() * shot.energy;
+            let here = light(flash.ring);
+            let unit = here * cell.target * field * (-flash.excess * far).exp() * shot.energy;
             if !(unit > 0.0 && field > 0.0) {
                 return None;
             }
-            if self.vignetting.is_none() {
-                for i in 0..FIELD {
-                    derivative[3 + i] = cell.q.powi(i as i32 + 1) / field;
-                }
+            for i in 0..self.bends {
+                derivative[3 + i] = cell.q.powi(i as i32 + 1) / field;
             }
             for (i, figure) in self.figures.iter().enumerate() {
                 derivative[first + i] = match figure {
                     Figure::Exponent => -far,
                     _ => {
                         let step = figure.step();
-                        let at = |by: f64| light(Self::moved(flash.ring, *figure, by));
-                        (at(step) / at(-step)).ln() / (2.0 * step)
+                        (light(Self::moved(flash.ring, *figure, step)) / here).ln() / step
                     }
                 };
             }
@@ -198,12 +207,12 @@ impl Model for Cards<'_> {
 pub(super) fn first_guess(
     shots: &[SeenShot],
     ring: Ring,
-    vignetting: Option<FieldFactor>,
+    vignetting: Option<Vignetting>,
 ) -> Option<[f64; 3]> {
     let (mut measured, mut rendered) = ([0.0; 3], [0.0; 3]);
     for shot in shots {
         for cell in &shot.cells {
-            let field = vignetting.map_or(1.0, |v| v.at_q(cell.q));
+            let field = vignetting.map_or(1.0, |v| v.field.at_q(cell.q));
             let unit = ring.irradiance(cell.point, shot.normal) * cell.target * field * shot.energy;
             for c in 0..3 {
                 let weight = unit / cell.variance[c];

@@ -1,5 +1,6 @@
 //! A flash calibration in words.
 
+use super::correct::AGREED;
 use super::{FlashCalibration, Interval};
 use crate::calibration::Verdict;
 
@@ -25,7 +26,10 @@ impl FlashCalibration {
         let used = self.cards.iter().filter(|c| c.used).count();
         let predicted = found.held_out_error.or(found.left_one_out_error);
         let law = found.distance_exponent;
-        let good = error <= MOST_ERROR
+        let second = found.second_render_ratio.iter().map(|r| (r - 1.0).abs()).fold(0.0, f64::max);
+        let agreed = used != 1 || second <= AGREED;
+        let good = agreed
+            && error <= MOST_ERROR
             && self.rms <= MOST_RESIDUAL
             && predicted.is_none_or(|p| p <= MOST_PREDICTION)
             && law.is_none_or(|law| law.holds(2.0) || (law.value - 2.0).abs() < 0.02);
@@ -42,6 +46,7 @@ impl FlashCalibration {
                 predicted.map_or_else(String::new, |p| format!(", shots predicted within {}", percent(p)))
             ),
         }];
+        said.extend(self.corrected());
         for card in self.cards.iter().filter(|c| !c.used && !c.held_out) {
             let why = card.left_out.as_deref().unwrap_or("not used");
             said.push(format!("{} is left out: {why}.", card.label));
@@ -81,6 +86,12 @@ impl FlashCalibration {
             }
         });
         let radius = |name: &str, told_radius: Option<Interval>, ruler: f64| {
+            if found.radii_fitted {
+                return Some(format!(
+                    "Its {name} radius is {} m by the shots, not by the ruler.",
+                    told(told_radius?, 4)
+                ));
+            }
             let found = told_radius.filter(|r| !r.holds(ruler))?;
             Some(format!(
                 "The shots tell another {name} radius than the ruler's {ruler} m: {}; measure it again.",
@@ -96,10 +107,10 @@ impl FlashCalibration {
             said.push(format!("Shots kept from the fit are predicted within {} on average.", percent(held)));
         }
         if used == 1 {
-            let off = found.second_render_ratio.iter().map(|r| (r - 1.0).abs()).fold(0.0, f64::max);
             said.push(format!(
-                "From a single shot: a second render is within {} of it; the flash's jitter is taken to be {}.",
-                percent(off),
+                "From a single shot: a second render is within {:.4} % of it ({:.2} % is asked for); the flash's jitter is taken to be {}.",
+                100.0 * second,
+                100.0 * AGREED,
                 percent(found.jitter_deviation)
             ));
         } else if found.jitter_assumed {
@@ -115,6 +126,19 @@ impl FlashCalibration {
             ));
         }
         Verdict { good, sentences: said }
+    }
+
+    /// How it came out of the calibration before.
+    fn corrected(&self) -> Option<String> {
+        let correction = self.findings.correction.as_ref()?;
+        let [r, g, b] = correction.factor;
+        let photodiode =
+            correction.measured_factor.map_or_else(String::new, |f| format!("; the photodiode tells {f:.4}"));
+        Some(format!(
+            "The calibration before ({}) was multiplied by {r:.4} {g:.4} {b:.4} (red, green, blue){photodiode}; ring, field and \
+             noise are its own.",
+            correction.base_file
+        ))
     }
 }
 

@@ -1,8 +1,9 @@
 //! `unlit calibrate flash`, and `unlit calibrate repeatability` from frames.
 
 use crate::calibration::{FieldFactor, FlashCalibration, Interval, Plane, Record, Target, Verdict};
+use crate::cli::lighting::LightingArgs;
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
-use crate::pipeline::flash::{CardFacts, CardFiles, calibrate};
+use crate::pipeline::flash::{CardFacts, CardFiles, calibrate, correct};
 use crate::pipeline::steadiness::{self, SteadyFile};
 use glam::DVec3;
 use std::path::{Path, PathBuf};
@@ -24,8 +25,16 @@ pub(in crate::cli) struct FlashArgs {
     #[arg(long, value_name = "DEG:FACTOR", num_args = 1.., value_parser = curve_point)]
     target_curve: Vec<[f64; 2]>,
     /// Inner and outer radius of the flash's luminous ring in metres.
-    #[arg(long, value_name = "IN,OUT", value_parser = radii)]
-    ring_radii: [f64; 2],
+    #[arg(long, value_name = "IN,OUT", value_parser = radii, required_unless_present = "one_shot")]
+    ring_radii: Option<[f64; 2]>,
+    /// Lets the shots tell the radii where they can (shots near the card), in place of the ruler.
+    #[arg(long)]
+    fit_radii: bool,
+    /// Corrects the session's flash calibration by one shot at the flash's new power, in place of a new series: its
+    /// radiances are multiplied by the factor by which the shot differs from a render, and a second render must be within
+    /// 0.02 % of the shot. The calibration before is kept beside it.
+    #[arg(long, conflicts_with_all = ["ring_radii", "fit_radii", "hold_out", "hold_out_every", "vignetting"])]
+    one_shot: bool,
     /// Shots: distance in metres from the lens to the card, and the lit frame; after a comma the unlit frame,
     /// where the room was not dark. All at one aperture and ISO, at two distances or more. A card that does not face the
     /// camera: its distance along the lens's axis and its normal towards the camera (x right, y down, z forward), as in
@@ -39,13 +48,16 @@ pub(in crate::cli) struct FlashArgs {
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(2..))]
     hold_out_every: Option<u32>,
     /// Coefficients of the lens's vignetting 1 + a1 q + a2 q^2 + a3 q^3, q = (r / half diagonal)^2, at this aperture, where
-    /// a flat field told them. Only then can the flash's own lobe be told.
+    /// a flat field told them. By default that of `unlit calibrate flat`, if the session has one of this lens and
+    /// aperture. Only then can the flash's own lobe be told.
     #[arg(long, value_name = "A1,A2,A3", value_parser = coefficients, allow_hyphen_values = true)]
     vignetting: Option<[f64; 3]>,
     /// Focal length in pixels, where no scene is imported yet: focal length in mm * image width in pixels /
     /// sensor width in mm.
     #[arg(long, value_name = "PX")]
     focal_px: Option<f64>,
+    #[command(flatten)]
+    lighting: LightingArgs,
     /// Prints the record as JSON.
     #[arg(long)]
     json: bool,
@@ -114,12 +126,17 @@ pub(super) fn flash(args: &FlashArgs) -> CliResult {
         target,
         paper: args.target_reflectance.is_none(),
         vignetting: args.vignetting.map(|coefficients| FieldFactor { coefficients }),
-        ring_radii: args.ring_radii,
+        ring_radii: args.ring_radii.unwrap_or_default(),
         focal_px: args.focal_px,
+        free_radii: args.fit_radii,
+        lighting: Some(args.lighting.over(session.manifest().lighting)),
     };
     let shots = marked(args)?;
     let (bar, progress) = progress_bar::watched();
-    let record = calibrate(&session, &shots, &facts, &progress);
+    let record = match args.one_shot {
+        true => correct(&session, &shots, &facts, &progress),
+        false => calibrate(&session, &shots, &facts, &progress),
+    };
     bar.finish_and_clear();
     let record = record.map_err(CliError::new)?;
     if args.json {

@@ -14,6 +14,7 @@ use super::levels as sensor_levels;
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 use crate::codec::raw::{Photo, RawError};
 use crate::export::chart::{self, Chart};
+use crate::pair::Lighting;
 use crate::photometry::levels::MeasuredLevels;
 use crate::progress::{Cancelled, Progress};
 use crate::session::{Session, SessionError, store as disk, utc_now};
@@ -117,7 +118,18 @@ impl<'a> Series<'a> {
         } else {
             sensor_levels::load(session)?
         };
-        Ok(Self { session, kind, measured, rig: Rig::default(), shots: vec![], paths: vec![] })
+        let rig = Rig { lighting: session.manifest().lighting, ..Rig::default() };
+        Ok(Self { session, kind, measured, rig, shots: vec![], paths: vec![] })
+    }
+
+    /// Says how the shots were lit and seen, where that is not what the session says.
+    pub(super) fn lit(&mut self, lighting: Lighting) {
+        self.rig.lighting = lighting;
+    }
+
+    /// The rig as far as the shots told it.
+    pub(super) fn rig(&self) -> &Rig {
+        &self.rig
     }
 
     /// Reads the next shot; it must be of the same body and lens as those before. Its number in the series is the
@@ -133,12 +145,13 @@ impl<'a> Series<'a> {
             return Err(SeriesError::Twice { path: path.to_owned(), other: self.paths[at].clone() });
         }
         let told = Rig::of(settings);
-        let Rig { make, model, serial, lens } = std::mem::take(&mut self.rig);
+        let Rig { make, model, serial, lens, lighting } = std::mem::take(&mut self.rig);
         self.rig = Rig {
             make: make.or(told.make),
             model: model.or(told.model),
             serial: serial.or(told.serial),
             lens: lens.or(told.lens),
+            lighting,
         };
         let (shutter, aperture, iso) = (settings.shutter, settings.aperture, settings.iso);
         let file = self.place(path, &blake3);

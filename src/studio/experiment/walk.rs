@@ -95,13 +95,7 @@ impl Walk {
             shots.push(CardFiles { plane: Plane::facing(distance), on, off: None, held_out: false });
         }
         let (ring_radii, _) = lab::ring();
-        let facts = CardFacts {
-            target: Target::lambertian(lab::CARD),
-            paper: false,
-            vignetting: None,
-            ring_radii,
-            focal_px: None,
-        };
+        let facts = CardFacts::plain(Target::lambertian(lab::CARD), ring_radii);
         flash::calibrate(&session, &shots, &facts, progress)?;
         for (camera, [off, on]) in self.cameras.iter().zip(&self.frames) {
             progress.check()?;

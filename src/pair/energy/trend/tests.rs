@@ -12,6 +12,7 @@ fn pair(number: u32, at: f64, energy: f64) -> PairRecord {
         bytes: 0,
         blake3: String::new(),
         settings: Settings::default(),
+        polariser: None,
         jpeg: None,
     };
     let mut on = sync(true, energy);
@@ -30,6 +31,8 @@ fn pair(number: u32, at: f64, energy: f64) -> PairRecord {
         more_off: vec![],
         on: frame(),
         after: vec![],
+        crossed: None,
+        lighting: Default::default(),
         drift: None,
         flash: Some(FlashRecord { off: vec![off], on: vec![on] }),
     }

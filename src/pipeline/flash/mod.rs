@@ -1,113 +1,33 @@
 //! The flash calibration of a session: card shots in, `calibration/flash.json` out (a [`Record`], with its figure
 //! `flash.svg`). Shots are read one by one and reduced to means over cells at once.
 
-use super::calibrate::{self, Series, SeriesError};
+mod correct;
+mod error;
+mod validity;
+mod vignetting;
+
+pub use correct::correct;
+pub use error::FlashError;
+pub(super) use validity::scaled_for;
+
+use super::calibrate::exposure::SessionScale;
+use super::calibrate::{self, Series};
+use super::develop::room_ratio;
+use super::{levels, scene};
 use crate::calibration::{
-    CardShot, FieldFactor, FlashCalibration, FlashFacts, FlashFitError, OtherRig, Plane, Record, Rig, Target,
-    fit_flash,
+    CardShot, FieldFactor, FlashCalibration, FlashFacts, Plane, Record, Target, fit_flash,
 };
-use crate::codec::raw::RawError;
 use crate::export::chart::{self, Chart};
-use crate::light::{Ring, RingError};
-use crate::pair::{FlashRecord, FrameRecord, PairRecord, Settings};
-use crate::photometry::{IsolateError, NoNoise, NoiseGauge};
-use crate::pipeline::calibrate::RecordError;
-use crate::pipeline::levels;
-use crate::pipeline::{develop::exposure_ratio, scene};
-use crate::progress::{Cancelled, Progress};
+use crate::light::Ring;
+use crate::pair::{FlashRecord, FrameRecord, Lighting, Settings};
+use crate::photometry::NoiseGauge;
+use crate::photometry::levels::MeasuredLevels;
+use crate::progress::Progress;
 use crate::scene::{Distortion, Intrinsics};
-use crate::session::{Session, SessionError, store};
+use crate::session::{Session, store};
 use glam::DVec2;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
-
-/// Why the flash could not be calibrated, or its calibration not be read.
-#[derive(Debug, thiserror::Error)]
-pub enum FlashError {
-    /// None yet.
-    #[error("the session {} has no flash calibration; shoot a white card and run `unlit calibrate flash`", .0.display())]
-    None(PathBuf),
-    /// No shot was given.
-    #[error("no card shot was given: --shots takes DISTANCE_IN_METRES=FILE, for example 0.8=card80.cr2")]
-    NoShots,
-    /// The card's pixels cannot be turned into directions.
-    #[error(
-        "the lens's focal length is not known: import the scene first (`unlit import scene`), or give --focal-px (focal length in mm times image width in pixels over sensor width in mm)"
-    )]
-    NoLens,
-    /// Settings differ between shots.
-    #[error(
-        "{label} was shot at other settings ({setting}) than the first shot: all card shots need one ISO and aperture"
-    )]
-    Settings {
-        /// File.
-        label: String,
-        /// Which.
-        setting: &'static str,
-    },
-    /// A shot cannot be decoded.
-    #[error(transparent)]
-    Raw(#[from] RawError),
-    /// The frames of a shot do not fit together.
-    #[error("{label}: {source}")]
-    Isolate {
-        /// File.
-        label: String,
-        /// What is wrong.
-        source: IsolateError,
-    },
-    /// Noise could not be measured.
-    #[error(transparent)]
-    Noise(#[from] NoNoise),
-    /// The ring's radii are impossible.
-    #[error(transparent)]
-    Ring(#[from] RingError),
-    /// The fit failed.
-    #[error(transparent)]
-    Fit(#[from] FlashFitError),
-    /// The file system refused.
-    #[error("cannot access {}: {source}", path.display())]
-    Io {
-        /// File or folder.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// A calibration of the session cannot be read.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The session refused.
-    #[error(transparent)]
-    Session(#[from] SessionError),
-    /// The shots do not make a series, or `flash.json` is broken.
-    #[error(transparent)]
-    Series(SeriesError),
-    /// A pair of another body or lens than the calibration's.
-    #[error(
-        "pair {name} does not fit the flash calibration: {source}; calibrate the flash with the rig that took the pairs"
-    )]
-    OtherRig {
-        /// The pair.
-        name: String,
-        /// What differs.
-        source: OtherRig,
-    },
-    /// Stopped on request.
-    #[error(transparent)]
-    Cancelled(#[from] Cancelled),
-}
-
-impl From<SeriesError> for FlashError {
-    fn from(error: SeriesError) -> Self {
-        match error {
-            SeriesError::Cancelled(cancelled) => Self::Cancelled(cancelled),
-            SeriesError::Raw(raw) => Self::Raw(raw),
-            SeriesError::Record(record) => Self::Record(record),
-            SeriesError::Session(session) => Self::Session(session),
-            other => Self::Series(other),
-        }
-    }
-}
 
 /// One shot of the card.
 #[derive(Clone, Debug, PartialEq)]
@@ -129,12 +49,32 @@ pub struct CardFacts {
     pub target: Target,
     /// Whether its reflectance is that of office paper, taken for granted.
     pub paper: bool,
-    /// The lens's vignetting, where a flat field tells it.
+    /// The lens's vignetting, taken as it is; absent for the session's flat field, where it has one of this lens and
+    /// aperture.
     pub vignetting: Option<FieldFactor>,
     /// Inner and outer radius of the ring, metres.
     pub ring_radii: [f64; 2],
     /// Focal length in pixels, where no scene tells it.
     pub focal_px: Option<f64>,
+    /// Lets the shots tell the ring's radii where they can, in place of the ruler.
+    pub free_radii: bool,
+    /// Polariser and flash power of the shots, where they are not the session's.
+    pub lighting: Option<Lighting>,
+}
+
+impl CardFacts {
+    /// A card of known reflectance before a ring of these radii; everything else as the session has it.
+    pub fn plain(target: Target, ring_radii: [f64; 2]) -> Self {
+        Self {
+            target,
+            paper: false,
+            vignetting: None,
+            ring_radii,
+            focal_px: None,
+            free_radii: false,
+            lighting: None,
+        }
+    }
 }
 
 /// Kind of the record.
@@ -149,66 +89,103 @@ pub fn calibrate(
     progress: &Progress,
 ) -> Result<Record<FlashCalibration>, FlashError> {
     let ring = Ring::new(facts.ring_radii[0], facts.ring_radii[1])?;
-    let measured = levels::load(session)?;
-    let mut series = Series::new(session, KIND)?;
-    let (mut cards, mut numbers, mut first) = (vec![], vec![], None::<Settings>);
-    let (mut gauge, mut rooms) = (NoiseGauge::default(), HashSet::new());
+    let mut reader = Reader::new(session, facts)?;
+    let (mut cards, mut numbers) = (vec![], vec![]);
     for (i, shot) in shots.iter().enumerate() {
         progress.check()?;
         progress.report("reading card shots", i, shots.len());
-        numbers.push(series.shots().len());
-        let on = series.read(&shot.on)?;
-        same_settings(first.get_or_insert_with(|| on.settings.clone()), &on.settings, &shot.on)?;
-        let off = match &shot.off {
-            // Several shots may share the frame of the room.
-            Some(off) if !rooms.insert(off.clone()) => Some(levels::read(off, &measured)?),
-            Some(off) => Some(series.read(off)?),
-            None => None,
-        };
-        let label = label(&shot.on);
-        let room = match &off {
-            Some(off) => {
-                let ratio = exposure_ratio(&on.settings, &off.settings)
-                    .map_err(|setting| FlashError::Settings { label: label.clone(), setting })?;
-                Some((&off.mosaic, ratio))
-            }
-            None => None,
-        };
-        gauge.add(&on.mosaic);
-        let mut card = CardShot::reduce(label.clone(), shot.plane, &on.mosaic, room)
-            .map_err(|source| FlashError::Isolate { label, source })?;
-        card.energy_counts = energy_beside(&shot.on)?;
-        card.held_out = shot.held_out;
-        cards.push(card);
+        numbers.push(reader.series.shots().len());
+        cards.push(reader.card(shot)?);
     }
-    let settings = first.ok_or(FlashError::NoShots)?;
+    let settings = reader.first.ok_or(FlashError::NoShots)?;
     let size = cards.first().map(|c| c.size).ok_or(FlashError::NoShots)?;
     progress.report("fitting the flash", 0, 1);
     let noise = match calibrate::noise::model(session, &settings)? {
         Some(measured) => measured,
-        None => gauge.fit()?,
+        None => reader.gauge.fit()?,
     };
     let intrinsics = lens(session, size, facts.focal_px)?;
-    let known = FlashFacts {
+    let mut series = reader.series;
+    let known = vignetting::of(session, series.rig(), &settings, facts.vignetting)?;
+    let of_flash = FlashFacts {
         intrinsics: &intrinsics,
         ring,
         target: &facts.target,
         noise,
-        vignetting: facts.vignetting,
+        vignetting: known.vignetting,
+        free_radii: facts.free_radii,
     };
-    let mut fit = fit_flash(&cards, &known)?;
-    fit.iso = settings.iso.map(|s| s.0);
-    fit.aperture = settings.aperture.map(|n| n.0);
+    let mut fit = fit_flash(&cards, &of_flash)?;
+    fit.findings.flat_field = known.source;
+    tell_settings(&mut fit, &settings);
     progress.check()?;
     for (card, number) in fit.cards.iter().zip(numbers) {
         if let Some(why) = &card.left_out {
             series.leave_out(number, why.clone());
         }
     }
-    let (verdict, figure) = (fit.verdict(facts.paper), picture(&fit));
+    let (mut verdict, figure) = (fit.verdict(facts.paper), picture(&fit));
+    verdict.sentences.extend(known.sentence);
     let record = series.keep(fit, verdict, &figure, progress)?;
     progress.report("fitting the flash", 1, 1);
     Ok(record)
+}
+
+fn tell_settings(fit: &mut FlashCalibration, settings: &Settings) {
+    fit.iso = settings.iso.map(|s| s.0);
+    fit.aperture = settings.aperture.map(|n| n.0);
+    fit.focal_length_mm = settings.focal_length_mm;
+}
+
+/// Reads card shots one by one.
+struct Reader<'a> {
+    series: Series<'a>,
+    measured: MeasuredLevels,
+    scale: SessionScale,
+    /// Settings of the first lit frame.
+    first: Option<Settings>,
+    /// Frames of the room that were read.
+    rooms: HashSet<PathBuf>,
+    gauge: NoiseGauge,
+}
+
+impl<'a> Reader<'a> {
+    fn new(session: &'a Session, facts: &CardFacts) -> Result<Self, FlashError> {
+        let mut series = Series::new(session, KIND)?;
+        if let Some(lighting) = facts.lighting {
+            series.lit(lighting);
+        }
+        Ok(Self {
+            series,
+            measured: levels::load(session)?,
+            scale: SessionScale::load(session)?,
+            first: None,
+            rooms: HashSet::new(),
+            gauge: NoiseGauge::default(),
+        })
+    }
+
+    fn card(&mut self, shot: &CardFiles) -> Result<CardShot, FlashError> {
+        let on = self.series.read(&shot.on)?;
+        same_settings(self.first.get_or_insert_with(|| on.settings.clone()), &on.settings, &shot.on)?;
+        let off = match &shot.off {
+            // Several shots may share the frame of the room.
+            Some(off) if !self.rooms.insert(off.clone()) => Some(levels::read(off, &self.measured)?),
+            Some(off) => Some(self.series.read(off)?),
+            None => None,
+        };
+        let label = label(&shot.on);
+        let room = match &off {
+            Some(off) => Some((&off.mosaic, room_ratio(&label, &self.scale, [&on.settings, &off.settings])?)),
+            None => None,
+        };
+        self.gauge.add(&on.mosaic);
+        let mut card = CardShot::reduce(label.clone(), shot.plane, &on.mosaic, room)
+            .map_err(|source| FlashError::Isolate { label, source })?;
+        card.energy_counts = energy_beside(&shot.on)?;
+        card.held_out = shot.held_out;
+        Ok(card)
+    }
 }
 
 /// Each shot's light over what the fit says of its distance.
@@ -245,12 +222,6 @@ pub fn record(session: &Session) -> Result<Record<FlashCalibration>, FlashError>
 /// Reads the session's flash calibration.
 pub fn load(session: &Session) -> Result<FlashCalibration, FlashError> {
     Ok(record(session)?.fit)
-}
-
-/// Refuses a pair of another body or lens than the calibration's.
-pub(super) fn holds_for(rig: &Rig, pair: &PairRecord) -> Result<(), FlashError> {
-    rig.same_lens(&pair.on.settings, "the flash calibration")
-        .map_err(|source| FlashError::OtherRig { name: pair.name.clone(), source })
 }
 
 /// Whether the session has a flash calibration.
@@ -316,6 +287,8 @@ fn same_settings(first: &Settings, next: &Settings, path: &Path) -> Result<(), F
         "ISO"
     } else if first.aperture != next.aperture {
         "aperture"
+    } else if first.focal_length_mm != next.focal_length_mm {
+        "focal length"
     } else {
         return Ok(());
     };

@@ -1,0 +1,53 @@
+//! One-shot mode by files: the session's flash calibration, corrected by a single shot of the card.
+
+use super::validity::fits;
+use super::{CardFacts, CardFiles, FlashError, Reader, file, lens, picture, record, tell_settings};
+use crate::calibration::{FlashCalibration, OtherRig, Record, correct_flash};
+use crate::pipeline::develop::flash_ratio;
+use crate::progress::Progress;
+use crate::session::{Session, store};
+use crate::units::FNumber;
+
+/// Multiplies the radiances of the session's flash calibration such that it predicts this shot, and keeps the result in
+/// its stead. The calibration before is kept beside it. ISO may differ; aperture, lens and polariser may not, since the
+/// field is of one aperture.
+pub fn correct(
+    session: &Session,
+    shots: &[CardFiles],
+    facts: &CardFacts,
+    progress: &Progress,
+) -> Result<Record<FlashCalibration>, FlashError> {
+    let [shot] = shots else { return Err(FlashError::NotOne(shots.len())) };
+    let before = record(session)?;
+    let path = file(session);
+    let bytes = std::fs::read(&path).map_err(|source| FlashError::Io { path, source })?;
+    progress.report("reading the card shot", 0, 1);
+    let mut reader = Reader::new(session, facts)?;
+    let card = reader.card(shot)?;
+    let settings = reader.first.ok_or(FlashError::NoShots)?;
+    let series = reader.series;
+    let name = card.label.clone();
+    fits(&before, &name, &settings, &series.rig().lighting)?;
+    let aperture = before.fit.aperture.map(FNumber);
+    if let (Some(found), Some(expected)) = (settings.aperture, aperture)
+        && found != expected
+    {
+        let (found, expected) = (found.to_string(), expected.to_string());
+        let source = OtherRig { what: "aperture", found, expected, of: "the flash calibration" };
+        return Err(FlashError::OtherRig { name, source });
+    }
+    let (light_ratio, _) = flash_ratio(&name, &settings, &before.fit, &reader.scale)?;
+    let intrinsics = lens(session, card.size, facts.focal_px)?;
+    let mut fit = correct_flash(&before.fit, &card, (&intrinsics, &facts.target), light_ratio)?;
+    tell_settings(&mut fit, &settings);
+    let blake3 = store::digest(&bytes);
+    let base = format!("flash_{}.json", blake3.get(..8).unwrap_or(&blake3));
+    if let Some(correction) = &mut fit.findings.correction {
+        correction.base_file = format!("calibration/{base}");
+        correction.base_blake3 = blake3;
+    }
+    progress.check()?;
+    session.keep(&session.calibration_dir().join(base), &bytes)?;
+    let (verdict, figure) = (fit.verdict(facts.paper), picture(&fit));
+    Ok(series.keep(fit, verdict, &figure, progress)?)
+}
