@@ -9,6 +9,7 @@ mod linear;
 pub mod noise;
 mod record;
 mod steadiness;
+pub mod tags;
 pub mod tiles;
 
 pub use flash::{

@@ -55,7 +55,7 @@ fn calibrate_flash(session: &Session, card: FlashCard, progress: &Progress) -> R
         let place = folder.join(&shot.name);
         let off = Some(place.join(&shot.off.file));
         CardFiles {
-            plane: Plane::facing(shot.distance_m),
+            plane: Some(Plane::facing(shot.distance_m)),
             on: place.join(&shot.on.file),
             off,
             held_out: false,
