@@ -67,12 +67,7 @@ pub fn find(picture: &Image<u8>) -> Result<Vec<Tag>, FindError> {
         .map(|tag| {
             // The library goes round counterclockwise from the bottom left.
             let [d, c, b, a] = tag.corners().map(DVec2::from_array);
-            Tag {
-                id: tag.id(),
-                corners: [a, b, c, d],
-                margin: tag.decision_margin(),
-                hamming: tag.hamming(),
-            }
+            Tag { id: tag.id(), corners: [a, b, c, d], margin: tag.decision_margin(), hamming: tag.hamming() }
         })
         .filter(|tag| tag.margin >= LEAST_MARGIN && tag.corners.iter().all(|c| c.is_finite()))
         .collect();

@@ -57,11 +57,7 @@ pub(super) fn look(
     Err(first.unwrap_or(TagError::None.into()))
 }
 
-fn of_frame(
-    frame: &Mosaic,
-    intrinsics: &Intrinsics,
-    facts: &TagFacts,
-) -> Result<CardPose, CardTagError> {
+fn of_frame(frame: &Mosaic, intrinsics: &Intrinsics, facts: &TagFacts) -> Result<CardPose, CardTagError> {
     let grey = Grey::of(frame).ok_or(TagError::None)?;
     let tags = apriltag::find(&grey.eight_bits())?;
     Ok(card_pose(&grey, &tags, intrinsics, facts.size_m)?)

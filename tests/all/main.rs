@@ -18,6 +18,7 @@ mod camera;
 mod camera_faults;
 mod camera_usb;
 mod capture;
+mod card_tags;
 mod contract;
 mod crowds;
 mod daemon;

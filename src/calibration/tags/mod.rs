@@ -18,7 +18,7 @@ use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 /// Shortest side of a tag that is measured, pixels of the frame.
-const LEAST_SIDE: f64 = 24.0;
+const LEAST_SIDE: f64 = 48.0;
 
 /// Sites per pixel of the grey picture, either way.
 const SITES: usize = 2;
@@ -98,9 +98,7 @@ pub enum TagError {
     )]
     None,
     /// All too small.
-    #[error(
-        "tag {id} is {side_px:.0} pixels wide, of {} at least: print it larger or go nearer", LEAST_SIDE
-    )]
+    #[error("tag {id} is {side_px:.0} pixels wide, of {} at least: print it larger or go nearer", LEAST_SIDE)]
     Small {
         /// Its number.
         id: usize,

@@ -15,13 +15,16 @@ use crate::scene::Intrinsics;
 use glam::{DVec2, DVec3};
 
 /// Standard error of a whole side by what is not noise: sampling, light that falls off across it. Pixels of the frame.
-const SIDE_ERROR: f64 = 0.008;
+const SIDE_ERROR: f64 = 0.005;
+
+/// Standard error by which all sides together may seem too far outside: ends of a profile that blur reaches.
+const GROWTH_ERROR: f64 = 0.006;
 
 /// Residuals beyond this many standard deviations are left out.
 const OUTLIER: f64 = 4.0;
 
 /// By how much chi-square of a plane must be above that of the best one to rule it out.
-const DECIDED: f64 = 9.0;
+const DECIDED: f64 = 12.0;
 
 /// Planes nearer than this are one, radians.
 const SAME: f64 = 0.005;
@@ -94,10 +97,13 @@ pub(super) fn fit(squares: &[Square], focal: DVec2, size: f64) -> Result<PoseFit
     }
     let (distance_error, normal_error) = joint.errors(first, sigma).ok_or(TagError::Vague)?;
     let other = minima.get(1).filter(|second| {
-        let variance = sigma * sigma + SIDE_ERROR * SIDE_ERROR;
+        // Of a point, with its part of what a side's points have in common.
+        let along = first.count() / (4 * squares.len()) as f64;
+        let common = SIDE_ERROR.powi(2) + GROWTH_ERROR.powi(2);
+        let variance = sigma * sigma + along * common;
         // By the points that count for the best one.
-        let squares = joint.sum(&second.theta, &first.used).unwrap_or(f64::INFINITY);
-        squares - first.squares < DECIDED * variance
+        let sum = joint.sum(&second.theta, &first.used).unwrap_or(f64::INFINITY);
+        sum - first.squares < DECIDED * variance
             && angle(first.u(), second.u()) > (2.0 * normal_error).max(SAME)
     });
     Ok(PoseFit {
@@ -320,22 +326,23 @@ impl Search<'_> {
         let n = inverse.len();
         let mut covariance: Vec<Vec<f64>> =
             inverse.iter().map(|row| row.iter().map(|v| v * sigma * sigma).collect()).collect();
-        // What is common to the points of a side.
         let slopes = self.slopes(&minimum.theta)?;
+        let mut add = |points: std::ops::Range<usize>, error: f64| {
+            let used = |row: &Vec<f64>| points.clone().filter(|i| minimum.used[*i]).map(|i| row[i]).sum();
+            let pull: Vec<f64> = slopes.iter().map(used).collect();
+            let shift: Vec<f64> =
+                inverse.iter().map(|row| row.iter().zip(&pull).map(|(a, b)| error * a * b).sum()).collect();
+            for i in 0..n {
+                (0..n).for_each(|j| covariance[i][j] += shift[i] * shift[j]);
+            }
+        };
+        // What the points of a side have in common, and what all have.
         let mut first = 0;
         for points in self.squares.iter().flat_map(|s| &s.sides) {
-            let range = first..first + points.len();
-            first = range.end;
-            let pull: Vec<f64> = slopes
-                .iter()
-                .map(|row| range.clone().filter(|i| minimum.used[*i]).map(|i| row[i]).sum())
-                .collect();
-            let shift: Vec<f64> =
-                inverse.iter().map(|row| row.iter().zip(&pull).map(|(a, b)| a * b).sum()).collect();
-            for i in 0..n {
-                (0..n).for_each(|j| covariance[i][j] += SIDE_ERROR * SIDE_ERROR * shift[i] * shift[j]);
-            }
+            add(first..first + points.len(), SIDE_ERROR);
+            first += points.len();
         }
+        add(0..first, GROWTH_ERROR);
         let u = minimum.u();
         let distance = covariance[2][2].max(0.0).sqrt() / (u.z * u.z);
         // The part of u across itself turns the normal.

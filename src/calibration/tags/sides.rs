@@ -16,7 +16,7 @@ use glam::DVec2;
 const BITS: f64 = 8.0;
 
 /// Ends of the profile, as a share of a bit, and at most, pixels.
-const REACH: (f64, f64) = (0.7, 6.0);
+const REACH: (f64, f64) = (0.5, 6.0);
 
 /// Share of a side that is left out at either end, where its neighbour's blur reaches.
 const ENDS: f64 = 0.1;
@@ -58,9 +58,7 @@ pub(super) fn sides(grey: &Grey, tag: &Tag) -> Result<[Vec<DVec2>; 4], TagError>
         };
         let clipped = along
             .iter()
-            .filter(|s| {
-                matches!(crossing(grey, from.lerp(to, **s), outward, reach), Crossing::Clipped)
-            })
+            .filter(|s| matches!(crossing(grey, from.lerp(to, **s), outward, reach), Crossing::Clipped))
             .count();
         if clipped as f64 > (1.0 - LEAST_FOUND) * count {
             return Err(TagError::Clipped(tag.id));

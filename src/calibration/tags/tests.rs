@@ -62,9 +62,8 @@ impl Scene {
         let (plane, back) = (self.truth(), self.pose.inverse());
         let image = Image::from_fn(self.intrinsics.width / 2, self.intrinsics.height / 2, |x, y| {
             let mut sum = 0.0;
-            let seen = |pixel: DVec2| {
-                back.transform_point3(plane.meets(camera.ray(pixel)).unwrap()).truncate()
-            };
+            let seen =
+                |pixel: DVec2| back.transform_point3(plane.meets(camera.ray(pixel)).unwrap()).truncate();
             let middle = seen(2.0 * DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
             let near = |(_, centre, _): &Put| middle.distance(*centre) < 0.75 * self.size;
             if !self.tags.iter().any(near) {
@@ -117,41 +116,172 @@ fn between(a: DVec3, b: DVec3) -> f64 {
     a.cross(b).length().atan2(a.dot(b))
 }
 
-#[test]
-fn one_tag_tells_distance_and_tilt_within_its_own_errors() {
-    let mut rng = ChaCha8Rng::seed_from_u64(11);
-    let (mut held, mut worst, mut turned) = (0, 0.0f64, vec![]);
-    let (mut zs, mut ns) = (vec![], vec![]);
-    const RUNS: usize = 60;
-    for run in 0..RUNS {
-        let scene = scene(&mut rng, 100.0 + 60.0 * even_of(run), 0.6, vec![(run % 4, DVec2::ZERO, 0.0)]);
+/// Of runs over random poses, lenses and blurs: distances off the truth in standard errors, and normals in degrees.
+fn one_tag_runs(seed: u64, runs: usize) -> (Vec<f64>, Vec<f64>) {
+    let mut turned = vec![];
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let one = |run: usize| {
+        let side = 100.0 + 60.0 * even(&mut rng);
+        let scene = scene(&mut rng, side, 0.6, vec![(run % 4, DVec2::ZERO, 0.0)]);
         let pose = found(&scene, &mut rng).unwrap_or_else(|e| panic!("run {run}: {e}"));
-        assert_eq!((pose.tags.len(), pose.tags[0].id), (1, run % 4));
         let truth = scene.truth();
-        let off = pose.distance_m / truth.distance() - 1.0;
-        let mut angle = between(pose.plane.normal, truth.normal);
-        if let Some(other) = pose.other {
-            angle = angle.min(between(other.normal, truth.normal));
-        }
-        println!(
-            "run {run}: {:+.4} % (error {:.4} %), {:.3} deg (error {:.3}), rms {:.3} other {}",
-            100.0 * off, 100.0 * pose.distance_error_m / pose.distance_m, angle.to_degrees(),
-            pose.normal_error_rad.to_degrees(), pose.rms_px, pose.other.is_some()
-        );
-        zs.push(off * pose.distance_m / pose.distance_error_m);
-        ns.push(angle / pose.normal_error_rad);
-        worst = worst.max(off.abs());
+        let angle = between(pose.plane.normal, truth.normal);
+        assert_eq!((pose.tags.len(), pose.tags[0].id), (1, run % 4));
+        assert_eq!(pose.other, None, "run {run}");
+        assert!((pose.distance_m / truth.distance() - 1.0).abs() < 0.002, "run {run}: {pose:?}");
         turned.push(angle.to_degrees());
-        held += usize::from((pose.distance_m - truth.distance()).abs() < 1.96 * pose.distance_error_m);
-        // The upright tag's rows and columns, as it was turned.
-        let right = pose.tags[0].axes[0];
-        assert!(between(right, scene.pose.matrix3.x_axis) < 0.1, "run {run}: {right}");
-    }
-    let sd = |z: &[f64]| (z.iter().map(|z| z * z).sum::<f64>() / z.len() as f64).sqrt();
-    turned.sort_by(f64::total_cmp);
-    println!("held {held} of {RUNS}; worst {worst}; median tilt {}; worst {}; z {} n {}", turned[RUNS / 2], turned[RUNS - 1], sd(&zs), sd(&ns));
+        assert!(angle < 4.5 * pose.normal_error_rad, "run {run}: {angle} {}", pose.normal_error_rad);
+        // The upright tag's rows, as it was turned.
+        assert!(between(pose.tags[0].axes[0], scene.pose.matrix3.x_axis) < 0.02, "run {run}");
+        (pose.distance_m - truth.distance()) / pose.distance_error_m
+    };
+    let off = (0..runs).map(one).collect();
+    (off, turned)
 }
 
-fn even_of(run: usize) -> f64 {
-    (run as f64 * 0.618_034).fract()
+#[test]
+fn one_tag_of_100_pixels_tells_distance_and_tilt() {
+    let (off, turned) = one_tag_runs(11, 15);
+    assert!(off.iter().all(|z| z.abs() < 4.0), "{off:?}");
+    assert!(turned.iter().all(|degrees| *degrees < 0.3), "{turned:?}");
+}
+
+#[test]
+#[ignore = "takes half a minute: coverage of the reported error over 400 random poses"]
+fn the_reported_error_of_the_distance_is_honest() {
+    let (off, turned) = one_tag_runs(12, 400);
+    let held = off.iter().filter(|z| z.abs() < 1.96).count() as f64 / off.len() as f64;
+    let spread = (off.iter().map(|z| z * z).sum::<f64>() / off.len() as f64).sqrt();
+    let near = turned.iter().filter(|degrees| **degrees < 0.3).count() as f64 / turned.len() as f64;
+    println!(
+        "the 95 % interval holds the truth in {:.1} % of runs; spread {spread:.2} standard errors; {:.1} % of normals are within 0.3 degrees",
+        100.0 * held,
+        100.0 * near
+    );
+    assert!((0.90..0.98).contains(&held), "{held}");
+    assert!(near > 0.97, "{near}");
+}
+
+#[test]
+fn tags_in_the_corners_tell_the_tilt_better_and_one_that_is_half_hidden_does_no_harm() {
+    let mut rng = ChaCha8Rng::seed_from_u64(13);
+    let corners = [(-0.09, -0.06), (0.09, -0.06), (0.09, 0.06), (-0.09, 0.06)];
+    let tags: Vec<Put> =
+        corners.into_iter().enumerate().map(|(i, c)| (i, DVec2::from(c), 0.7 * i as f64)).collect();
+    for run in 0..4 {
+        let mut scene = scene(&mut rng, 100.0, 0.5, tags.clone());
+        scene.pose.translation = DVec3::new(0.0, 0.0, 0.6);
+        scene.size = 0.05;
+        let pose = found(&scene, &mut rng).unwrap_or_else(|e| panic!("run {run}: {e}"));
+        let truth = scene.truth();
+        let angle = between(pose.plane.normal, truth.normal).to_degrees();
+        assert!(pose.tags.len() >= 3, "run {run}: {}", pose.tags.len());
+        assert!(angle < 0.15, "run {run}: {angle} degrees");
+        assert!((pose.distance_m / truth.distance() - 1.0).abs() < 0.001, "run {run}: {pose:?}");
+        for tag in &pose.tags {
+            let centre = scene.pose.transform_point3(tags[tag.id].1.extend(0.0));
+            assert!(tag.centre_m.distance(centre) < 0.001, "run {run}: {tag:?} {centre}");
+        }
+    }
+}
+
+#[test]
+fn a_small_tag_seen_aslant_from_afar_has_two_planes_and_both_are_told() {
+    let mut rng = ChaCha8Rng::seed_from_u64(14);
+    let mut told = 0;
+    for _ in 0..8 {
+        let mut scene = scene(&mut rng, 100.0, 0.0, vec![(0, DVec2::ZERO, 0.0)]);
+        // A long lens from afar: next to no perspective within the tag.
+        scene.intrinsics.focal *= 10.0;
+        scene.intrinsics.distortion = Distortion::default();
+        scene.noise = 60.0;
+        scene.pose = DAffine3::from_mat3_translation(DMat3::from_rotation_y(0.4), DVec3::Z * 10.0);
+        let pose = found(&scene, &mut rng).unwrap();
+        let truth = scene.truth().normal;
+        let off = |plane: Plane| between(plane.normal, truth).to_degrees();
+        let best = pose.other.map_or(f64::INFINITY, off).min(off(pose.plane));
+        assert!(best < 3.0, "{pose:?}");
+        told += usize::from(pose.other.is_some());
+    }
+    assert!(told >= 6, "{told}");
+}
+
+#[test]
+fn what_cannot_be_measured_is_refused_with_the_reason() {
+    let mut rng = ChaCha8Rng::seed_from_u64(15);
+    let plain = scene(&mut rng, 100.0, 0.2, vec![]);
+    assert_eq!(found(&plain, &mut rng), Err(TagError::None));
+    let tagged = scene(&mut rng, 100.0, 0.2, vec![(1, DVec2::ZERO, 0.0)]);
+    let mut grey = tagged.draw(&mut rng);
+    let tags = apriltag::find(&grey.eight_bits()).unwrap();
+    assert_eq!(card_pose(&grey, &tags, &tagged.intrinsics, 0.0), Err(TagError::Size(0.0)));
+    let far = tags[0].corners.map(|c| tags[0].corners[0] + 0.1 * (c - tags[0].corners[0]));
+    let far = card_pose(&grey, &[apriltag::Tag { corners: far, ..tags[0] }], &tagged.intrinsics, 0.06);
+    assert!(matches!(far, Err(TagError::Small { id: 1, side_px }) if side_px < 20.0), "{far:?}");
+    let aside = tags[0].corners.map(|c| c + 20.0);
+    let aside = card_pose(&grey, &[apriltag::Tag { corners: aside, ..tags[0] }], &tagged.intrinsics, 0.06);
+    assert_eq!(aside, Err(TagError::Blurred(1)));
+    grey.ceiling = 3900.0;
+    assert_eq!(card_pose(&grey, &tags, &tagged.intrinsics, 0.06), Err(TagError::Clipped(1)));
+}
+
+#[test]
+fn tags_in_two_planes_are_refused() {
+    let mut rng = ChaCha8Rng::seed_from_u64(16);
+    let mut left = scene(&mut rng, 100.0, 0.0, vec![(0, DVec2::new(-0.05, 0.0), 0.0)]);
+    left.pose = DAffine3::from_translation(DVec3::Z * 0.6);
+    let a = left.draw(&mut rng);
+    // The right half of the picture shows another card, nearer and turned.
+    left.tags = vec![(1, DVec2::new(0.06, 0.0), 0.0)];
+    left.pose = DAffine3::from_mat3_translation(DMat3::from_rotation_x(0.3), DVec3::Z * 0.55);
+    let b = left.draw(&mut rng);
+    let middle = a.image.width() / 2;
+    let image = Image::from_fn(a.image.width(), a.image.height(), |x, y| {
+        *if x < middle { &a.image } else { &b.image }.at(x, y)
+    });
+    let grey = Grey { image, ceiling: a.ceiling };
+    let tags = apriltag::find(&grey.eight_bits()).unwrap();
+    assert_eq!(tags.len(), 2);
+    let refused = card_pose(&grey, &tags, &left.intrinsics, left.size);
+    assert!(matches!(refused, Err(TagError::Planes { .. })), "{refused:?}");
+}
+
+#[test]
+fn cells_on_a_tag_and_its_border_are_not_of_the_card() {
+    let mut rng = ChaCha8Rng::seed_from_u64(17);
+    let scene = scene(&mut rng, 120.0, 0.3, vec![(2, DVec2::ZERO, 0.0)]);
+    let pose = found(&scene, &mut rng).unwrap();
+    let camera =
+        Camera { name: String::new(), intrinsics: scene.intrinsics, world_from_camera: DAffine3::IDENTITY };
+    let seen = |x: f64, y: f64| {
+        let at = scene.size * DVec2::new(x, y);
+        camera.project(scene.pose.transform_point3(at.extend(0.0))).unwrap().0
+    };
+    let covers = |x: f64, y: f64| pose.covers(&scene.intrinsics, seen(x, y), 8.0, 0.125 * scene.size);
+    assert!(covers(0.0, 0.0) && covers(0.5, -0.5) && covers(-0.61, 0.0) && covers(0.0, 0.61));
+    assert!(!covers(0.8, 0.0) && !covers(0.0, -0.8) && !covers(1.0, 1.0));
+}
+
+#[test]
+fn the_grey_of_a_frame_is_its_green() {
+    use crate::photometry::{Cfa, LevelSource, Levels};
+    let frame = Mosaic {
+        dn: Image::from_fn(6, 5, |x, y| match Cfa::RGGB.colour(x, y) {
+            1 if y < 2 => 4090,
+            1 => 100 + 10 * (x / 2) as u16 + (y & 1) as u16 * 2,
+            _ => 3000,
+        }),
+        cfa: Cfa::RGGB,
+        levels: Levels {
+            black: [[100.0; 2]; 2],
+            saturation: [[4095.0; 2]; 2],
+            black_source: LevelSource::FileTag,
+            saturation_source: LevelSource::FileTag,
+        },
+    };
+    let grey = Grey::of(&frame).unwrap();
+    assert_eq!((grey.image.width(), grey.image.height()), (3, 2));
+    assert_eq!(grey.image.at(2, 1), &[21.0]);
+    assert!(grey.image.at(0, 0)[0] >= grey.ceiling);
+    assert_eq!(Grey::of(&Mosaic { cfa: Cfa([[0, 0], [2, 2]]), ..frame }), None);
 }

@@ -15,15 +15,15 @@ use super::calibrate::{self, Series};
 use super::card_tags::{self, TagFacts};
 use super::develop::room_ratio;
 use super::{levels, scene};
+use crate::calibration::tags::{CardPose, CardSight};
 use crate::calibration::{
     CardShot, FieldFactor, FlashCalibration, FlashFacts, Plane, Record, Target, fit_flash,
 };
-use crate::calibration::tags::{CardPose, CardSight};
 use crate::export::chart::{self, Chart};
 use crate::light::Ring;
 use crate::pair::{FlashRecord, FrameRecord, Lighting, Settings};
-use crate::photometry::{Mosaic, NoiseGauge};
 use crate::photometry::levels::MeasuredLevels;
+use crate::photometry::{Mosaic, NoiseGauge};
 use crate::progress::Progress;
 use crate::scene::{Distortion, Intrinsics};
 use crate::session::{Session, store};
