@@ -74,3 +74,21 @@ pub fn find(picture: &Image<u8>) -> Result<Vec<Tag>, FindError> {
     tags.sort_by_key(|tag| tag.id);
     Ok(tags)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_without_tags_have_none_and_endless_ones_are_refused() {
+        assert_eq!(find(&Image::filled(0, 0, 0)), Ok(vec![]));
+        assert_eq!(find(&Image::filled(31, 500, 9)), Ok(vec![]));
+        assert_eq!(find(&Image::filled(64, 33, 200)), Ok(vec![]));
+        let hash = |x: usize, y: usize| ((x * 7919 + y * 104_729) * (x + 3 * y + 1) >> 3) as u8;
+        assert_eq!(find(&Image::from_fn(301, 203, hash)), Ok(vec![]));
+        let boxes = Image::from_fn(300, 200, |x, y| if x % 100 < 60 && y % 100 < 60 { 0 } else { 255 });
+        assert_eq!(find(&boxes), Ok(vec![]));
+        let refused = find(&Image::filled(32_001, 32, 0)).unwrap_err().to_string();
+        assert!(refused.contains("32001"), "{refused}");
+    }
+}

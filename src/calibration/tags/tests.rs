@@ -1,12 +1,11 @@
 //! Tags drawn by a renderer of its own: a plane, bits, a lens with distortion, blur, noise.
 
 use super::*;
-use crate::calibration::colour::fit::tests::{even, normal};
 use crate::codec::apriltag;
 use crate::raster::blur::gaussian;
 use crate::scene::{Camera, Distortion};
 use glam::{DAffine3, DMat3};
-use rand::SeedableRng as _;
+use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 /// Codes of the first tags of the family (AprilRobotics, BSD-2-Clause).
@@ -21,6 +20,15 @@ fn white(id: usize, column: usize, row: usize) -> bool {
         places.push((7 - y, x));
     }
     places.iter().position(|p| *p == (column, row)).is_some_and(|i| CODES[id] >> (35 - i) & 1 == 1)
+}
+
+fn even(rng: &mut ChaCha8Rng) -> f64 {
+    rng.random()
+}
+
+/// Normal with standard deviation 1, near enough: twelve even ones.
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    (0..12).map(|_| even(rng)).sum::<f64>() - 6.0
 }
 
 /// A tag on a card: number, and the centre on the card, turned by an angle.
