@@ -146,7 +146,7 @@ fn record(output: Output) -> Value {
 #[test]
 fn tags_in_place_of_distances_give_the_same_flash_and_wrong_distances_are_told() {
     let folder = tempfile::tempdir().unwrap();
-    let cards: Vec<Card> = [0.6, 0.6, 0.75, 0.75, 0.95, 0.95]
+    let cards: Vec<Card> = [0.55, 0.55, 0.7, 0.7, 0.85, 0.85]
         .into_iter()
         .enumerate()
         .map(|(i, distance)| Card::shoot(folder.path(), i, distance))
