@@ -26,7 +26,7 @@ pub fn correct(
     let mut reader = Reader::new(session, facts)?;
     let card = reader.card(shot)?;
     let settings = reader.first.ok_or(FlashError::NoShots)?;
-    let (series, sights) = (reader.series, reader.sights);
+    let (series, sights, notes) = (reader.series, reader.sights, reader.notes);
     let name = card.label.clone();
     fits(&before, &name, &settings, &series.rig().lighting)?;
     let aperture = before.fit.aperture.map(FNumber);
@@ -52,5 +52,6 @@ pub fn correct(
     session.keep(&session.calibration_dir().join(base), &bytes)?;
     let (mut verdict, figure) = (fit.verdict(facts.paper), picture(&fit));
     verdict.sentences.extend(card_tags::sentences(&fit.findings.card_tags));
+    verdict.sentences.extend(notes);
     Ok(series.keep(fit, verdict, &figure, progress)?)
 }

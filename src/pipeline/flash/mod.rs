@@ -133,6 +133,7 @@ pub fn calibrate(
     let (mut verdict, figure) = (fit.verdict(facts.paper), picture(&fit));
     verdict.sentences.extend(known.sentence);
     verdict.sentences.extend(card_tags::sentences(&fit.findings.card_tags));
+    verdict.sentences.extend(reader.notes);
     let record = series.keep(fit, verdict, &figure, progress)?;
     progress.report("fitting the flash", 1, 1);
     Ok(record)
@@ -159,6 +160,8 @@ struct Reader<'a> {
     tags: Option<TagFacts>,
     /// What the tags told, shot by shot.
     sights: Vec<CardSight>,
+    /// What people must be told of shots whose tags tell nothing.
+    notes: Vec<String>,
 }
 
 impl<'a> Reader<'a> {
@@ -178,6 +181,7 @@ impl<'a> Reader<'a> {
             focal_px: facts.focal_px,
             tags: facts.tags,
             sights: vec![],
+            notes: vec![],
         })
     }
 
@@ -216,18 +220,23 @@ impl<'a> Reader<'a> {
 impl Reader<'_> {
     /// Where the tags say that the card stands, and the lens. A shot whose distance is given need not show them.
     fn seen(
-        &self,
+        &mut self,
         shot: &CardFiles,
         label: &str,
         on: &Mosaic,
         off: Option<&Mosaic>,
     ) -> Result<Option<(CardPose, Intrinsics)>, FlashError> {
-        let Some(facts) = &self.tags else { return Ok(None) };
+        let Some(facts) = self.tags else { return Ok(None) };
         let intrinsics = lens(self.session, (on.dn.width(), on.dn.height()), self.focal_px)?;
         let frames: Vec<&Mosaic> = std::iter::once(on).chain(off).collect();
-        match card_tags::look(&frames, &intrinsics, facts) {
+        match card_tags::look(&frames, &intrinsics, &facts) {
             Ok(pose) => Ok(Some((pose, intrinsics))),
-            Err(_) if shot.plane.is_some() => Ok(None),
+            Err(error) if shot.plane.is_some() => {
+                self.notes.push(format!(
+                    "{label}: its distance was used unchecked, and a tag's black, if there is one, is in the fit: {error}."
+                ));
+                Ok(None)
+            }
             Err(source) => Err(FlashError::Tags { label: label.to_owned(), source }),
         }
     }
