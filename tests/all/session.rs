@@ -63,7 +63,7 @@ fn a_lit_frame_through_a_crossed_polariser_is_kept_with_its_angle() {
     assert_eq!(record.crossed.as_ref().unwrap().polariser, Some(at(120.0)));
     drop(session);
     let session = Session::open(&path).unwrap();
-    assert_eq!((*session.pair(record.number).unwrap()).clone(), record, "as it is on the disk");
+    assert_eq!(session.pair(record.number).unwrap(), record, "as it is on the disk");
     assert_eq!(session.manifest().lighting, lighting);
     let files = record.frames().map(|(slot, frame)| format!("{slot} {}", frame.file)).collect::<Vec<_>>();
     assert_eq!(files, ["off off.dng", "on on.cr2", "crossed crossed.dng"]);

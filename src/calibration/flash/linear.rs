@@ -30,6 +30,19 @@ impl Symmetric {
         self.cells.iter_mut().zip(&other.cells).for_each(|(a, b)| *a += factor * b);
     }
 
+    pub(super) fn size(&self) -> usize {
+        self.n
+    }
+
+    /// Adds a small matrix whose first diagonal cell comes to `first`.
+    pub(super) fn add_block<const N: usize>(&mut self, first: usize, block: &[[f64; N]; N]) {
+        for (i, row) in block.iter().enumerate() {
+            for (j, value) in row.iter().enumerate() {
+                self.cells[(first + i) * self.n + first + j] += value;
+            }
+        }
+    }
+
     pub(super) fn add_diagonal(&mut self, i: usize, value: f64) {
         self.cells[i * self.n + i] += value;
     }

@@ -82,8 +82,8 @@ impl ShotSums {
 pub(super) trait Model {
     /// Sums of every shot; `None` where the parameters make no sense.
     fn sums(&self, theta: &[f64]) -> Option<Vec<ShotSums>>;
-    /// Precision of the knowledge that each parameter is 0, beforehand.
-    fn precision(&self) -> &[f64];
+    /// Information beforehand about the parameters, which are 0 by it.
+    fn prior(&self) -> &Symmetric;
 }
 
 /// What came out.
@@ -120,20 +120,18 @@ fn gradient_of(s: &ShotSums, variance: f64, phi: f64) -> Vec<f64> {
     s.g.iter().zip(&s.c).map(|(g, c)| (g - c * s.h * k) / phi).collect()
 }
 
-fn normal(sums: &[ShotSums], precision: &[f64], variance: f64, phi: f64) -> Symmetric {
-    let mut n = Symmetric::zero(precision.len());
+fn normal(sums: &[ShotSums], prior: &Symmetric, variance: f64, phi: f64) -> Symmetric {
+    let mut n = prior.clone();
     for s in sums {
         n.add(&s.a, 1.0 / phi);
         n.add_outer(&s.c, -kernel(s, variance, phi) / phi);
     }
-    precision.iter().enumerate().for_each(|(i, p)| n.add_diagonal(i, *p));
     n
 }
 
-fn objective(sums: &[ShotSums], theta: &[f64], precision: &[f64], variance: f64, phi: f64) -> f64 {
+fn objective(sums: &[ShotSums], theta: &[f64], prior: &Symmetric, variance: f64, phi: f64) -> f64 {
     let of = |s: &ShotSums| (s.chi - s.h * s.h * kernel(s, variance, phi)) / phi;
-    let prior: f64 = theta.iter().zip(precision).map(|(t, p)| p * t * t).sum();
-    sums.iter().map(of).sum::<f64>() + prior
+    sums.iter().map(of).sum::<f64>() + prior.form(theta)
 }
 
 /// Mean square of the residuals within the shots, 1 at least: the sensor's noise is not less than it is.
@@ -147,22 +145,22 @@ fn dispersion(sums: &[ShotSums], unknowns: usize) -> f64 {
 /// Fits from a start; `usual` is the jitter (relative standard deviation) that is taken where the shots are too few to tell
 /// it. `None` if the shots cannot tell all parameters apart.
 pub(super) fn solve(model: &impl Model, start: Vec<f64>, usual: f64) -> Option<Solution> {
-    let precision = model.precision();
+    let prior = model.prior();
     let unknowns = start.len();
     let (mut theta, mut damping) = (start, 0.0f64);
     let mut sums = model.sums(&theta)?;
     let (mut settled, mut before) = (0, None);
     for _ in 0..MOST_ROUNDS {
         let phi = dispersion(&sums, unknowns);
-        let (variance, freedom) = jitter(&sums, precision, usual, phi, before)?;
+        let (variance, freedom) = jitter(&sums, prior, usual, phi, before)?;
         before = freedom.map(|_| variance);
-        let plain = normal(&sums, precision, variance, phi);
+        let plain = normal(&sums, prior, variance, phi);
         let covariance = plain.inverse()?;
         if settled == 2 {
             let normal = plain;
             return Some(Solution { theta, covariance, sums, variance, freedom, dispersion: phi, normal });
         }
-        let mut right: Vec<f64> = theta.iter().zip(precision).map(|(t, p)| -t * p).collect();
+        let mut right: Vec<f64> = prior.times(&theta).iter().map(|p| -p).collect();
         for s in &sums {
             right.iter_mut().zip(gradient_of(s, variance, phi)).for_each(|(r, g)| *r += g);
         }
@@ -170,10 +168,10 @@ pub(super) fn solve(model: &impl Model, start: Vec<f64>, usual: f64) -> Option<S
         (0..unknowns).for_each(|i| damped.add_diagonal(i, damping * plain.at(i, i)));
         let step = damped.inverse()?.times(&right);
         let next: Vec<f64> = theta.iter().zip(&step).map(|(t, s)| t + s).collect();
-        let before = objective(&sums, &theta, precision, variance, phi);
+        let before = objective(&sums, &theta, prior, variance, phi);
         let close = (0..unknowns).all(|i| step[i].abs() <= CLOSE * covariance.at(i, i).sqrt());
         let tried = model.sums(&next).filter(|tried| {
-            let after = objective(tried, &next, precision, variance, phi);
+            let after = objective(tried, &next, prior, variance, phi);
             after.is_finite() && (after <= before + SLACK || close)
         });
         match tried {
@@ -282,6 +280,7 @@ mod tests {
     struct Level {
         shots: Vec<Vec<f64>>,
         deviation: f64,
+        prior: Symmetric,
     }
 
     impl Model for Level {
@@ -295,8 +294,8 @@ mod tests {
             Some(self.shots.iter().map(of).collect())
         }
 
-        fn precision(&self) -> &[f64] {
-            &[0.0]
+        fn prior(&self) -> &Symmetric {
+            &self.prior
         }
     }
 
@@ -304,7 +303,7 @@ mod tests {
     fn with_one_level_it_is_the_mean_of_the_shots_with_students_interval() {
         let means = [98.0, 101.0, 103.0, 99.5, 100.2];
         let shots = means.iter().map(|m| vec![m - 1e-3, *m, m + 1e-3]).collect();
-        let fit = solve(&Level { shots, deviation: 1e-3 }, vec![4.0], 0.003);
+        let fit = solve(&Level { shots, deviation: 1e-3, prior: Symmetric::zero(1) }, vec![4.0], 0.003);
         let fit = fit.unwrap();
         let mean = means.iter().sum::<f64>() / 5.0;
         let sd = (means.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / 4.0).sqrt();
@@ -318,7 +317,11 @@ mod tests {
 
     #[test]
     fn a_single_shot_takes_the_jitter_that_is_given() {
-        let fit = solve(&Level { shots: vec![vec![50.0; 9]], deviation: 0.1 }, vec![3.0], 0.004);
+        let fit = solve(
+            &Level { shots: vec![vec![50.0; 9]], deviation: 0.1, prior: Symmetric::zero(1) },
+            vec![3.0],
+            0.004,
+        );
         let fit = fit.unwrap();
         assert_eq!(fit.freedom, None);
         assert!((fit.error(&[1.0]) / 0.004 - 1.0).abs() < 0.05);

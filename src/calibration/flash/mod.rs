@@ -15,8 +15,9 @@
 //! energy, which is the shot's and not the pixel's. The fit is by Levenberg-Marquardt with the jitter of k_s as a
 //! variance component (module `mixed`). Energy is per shot: the shutter's time is nowhere in it.
 //!
-//! A flat field is known with an error of its own: where it gives the vignetting, its slope `a1` stays free within that,
-//! so that the lobe's interval holds the flat field's. The law of distance is tested by a fit with E1 times
+//! A flat field is known with an error of its own: where it gives the vignetting, its coefficients stay free within that
+//! (module `vignetting`), so that the lobe's interval holds the flat field's. The law of distance is tested by a fit with
+//! E1 times
 //! (d / d0)^(2 - p), which leaves p = 2 to the inverse square; the ring's radii by a fit in which they may leave the ruler's
 //! values. By request they may do so in the fit that counts.
 
@@ -30,11 +31,13 @@ mod mixed;
 mod model;
 mod variance;
 mod verdict;
+mod vignetting;
 
 pub use card::{CardShot, Cell, Plane, Target};
 pub use correct::{Correction, correct_flash};
 pub use error::FlashFitError;
 pub use fit::fit_flash;
+pub use vignetting::Vignetting;
 
 use super::tags::CardSight;
 use crate::light::Ring;
@@ -167,15 +170,6 @@ pub struct FlatSource {
     pub measured: String,
     /// BLAKE3 of its record, hexadecimal.
     pub blake3: String,
-}
-
-/// The lens's vignetting as it is known beforehand.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Vignetting {
-    /// Its curve.
-    pub field: FieldFactor,
-    /// Standard error of it in the corner; 0 where it is taken as it is.
-    pub corner_error: f64,
 }
 
 /// The flash as processing uses it.

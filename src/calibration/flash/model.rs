@@ -1,6 +1,7 @@
 //! What a cell of a card shot reads, by the unknowns of the fit, and its derivatives.
 
 use super::card::SeenShot;
+use super::linear::Symmetric;
 use super::mixed::{Model, ShotSums};
 use super::{FieldFactor, Vignetting};
 use crate::light::Ring;
@@ -59,17 +60,18 @@ const FIELD: usize = 3;
 const FIELD_BEFOREHAND: f64 = 10.0;
 
 /// The card shots of one flash. Unknowns: logarithms of the radiances over `radiance`; the field's coefficients, unless
-/// given, or the slope alone of a flat field that has an error; the figures in their order.
+/// given without error; the figures in their order.
 pub(super) struct Cards<'a> {
     shots: &'a [SeenShot],
     ring: Ring,
     radiance: [f64; 3],
     /// What the field's free coefficients count from.
     field: FieldFactor,
-    /// How many of them are free, the slope first.
+    /// How many of them are free: all or none.
     bends: usize,
     figures: Vec<Figure>,
-    precision: Vec<f64>,
+    /// What is known beforehand, as an information matrix.
+    prior: Symmetric,
     /// Geometric mean of the distances.
     middle: f64,
 }
@@ -90,18 +92,20 @@ impl<'a> Cards<'a> {
         vignetting: Option<Vignetting>,
         figures: Vec<Figure>,
     ) -> Self {
-        let mut precision = vec![0.0; 3];
+        let bends = if vignetting.is_some_and(|v| v.information.is_none()) { 0 } else { FIELD };
+        let mut prior = Symmetric::zero(3 + bends + figures.len());
         match vignetting {
-            None => precision.extend([FIELD_BEFOREHAND.powi(-2); FIELD]),
-            Some(v) if v.corner_error > 0.0 => precision.push(v.corner_error.powi(-2)),
+            None => (3..3 + FIELD).for_each(|i| prior.add_diagonal(i, FIELD_BEFOREHAND.powi(-2))),
+            Some(Vignetting { information: Some(information), .. }) => prior.add_block(3, &information),
             Some(_) => {}
         }
-        let bends = precision.len() - 3;
+        for (i, figure) in figures.iter().enumerate() {
+            prior.add_diagonal(3 + bends + i, figure.beforehand().powi(-2));
+        }
         let field = vignetting.map_or(FieldFactor { coefficients: [0.0; 3] }, |v| v.field);
-        precision.extend(figures.iter().map(|f| f.beforehand().powi(-2)));
         let logs: f64 = shots.iter().map(|s| s.distance.ln()).sum();
         let middle = (logs / shots.len().max(1) as f64).exp();
-        Self { shots, ring, radiance, field, bends, figures, precision, middle }
+        Self { shots, ring, radiance, field, bends, figures, prior, middle }
     }
 
     /// What is fitted beside radiance and field.
@@ -111,12 +115,12 @@ impl<'a> Cards<'a> {
 
     /// Where the search begins.
     pub(super) fn start(&self) -> Vec<f64> {
-        vec![0.0; self.precision.len()]
+        vec![0.0; self.prior.size()]
     }
 
     /// The number of an unknown.
     pub(super) fn place(&self, figure: Figure) -> Option<usize> {
-        let first = self.precision.len() - self.figures.len();
+        let first = 3 + self.bends;
         Some(first + self.figures.iter().position(|f| *f == figure)?)
     }
 
@@ -153,8 +157,8 @@ impl<'a> Cards<'a> {
 
     /// Sums of one shot, of those that are fitted or another.
     pub(super) fn sums_of(&self, shot: &SeenShot, flash: &Flash) -> Option<ShotSums> {
-        let n = self.precision.len();
-        let first = n - self.figures.len();
+        let n = self.prior.size();
+        let first = 3 + self.bends;
         let mut sums = ShotSums::zero(n);
         let mut derivative = vec![0.0; n];
         let far = (shot.distance / self.middle).ln();
@@ -198,8 +202,8 @@ impl Model for Cards<'_> {
         self.shots.par_iter().map(|shot| self.sums_of(shot, &flash)).collect()
     }
 
-    fn precision(&self) -> &[f64] {
-        &self.precision
+    fn prior(&self) -> &Symmetric {
+        &self.prior
     }
 }
 

@@ -33,10 +33,9 @@ struct Restricted<'a> {
 }
 
 impl<'a> Restricted<'a> {
-    fn new(sums: &'a [ShotSums], precision: &[f64], phi: f64) -> Self {
-        let mut plain = Symmetric::zero(precision.len());
+    fn new(sums: &'a [ShotSums], prior: &Symmetric, phi: f64) -> Self {
+        let mut plain = prior.clone();
         sums.iter().for_each(|s| plain.add(&s.a, 1.0 / phi));
-        precision.iter().enumerate().for_each(|(i, p)| plain.add_diagonal(i, *p));
         Self { sums, plain, phi }
     }
 
@@ -67,12 +66,12 @@ impl<'a> Restricted<'a> {
 /// too few. `before`: the variance of an earlier round.
 pub(super) fn jitter(
     sums: &[ShotSums],
-    precision: &[f64],
+    prior: &Symmetric,
     usual: f64,
     phi: f64,
     before: Option<f64>,
 ) -> Option<(f64, Option<f64>)> {
-    let restricted = Restricted::new(sums, precision, phi);
+    let restricted = Restricted::new(sums, prior, phi);
     let otherwise = usual * usual;
     let (_, information) = restricted.at(otherwise)?;
     let usual_freedom = otherwise * otherwise * information;
@@ -135,7 +134,7 @@ mod tests {
         let shots = sums(&[0.98, 1.01, 1.03, 0.995, 1.002]);
         let wanted = shots.iter().map(|s| s.own().powi(2)).sum::<f64>() / 4.0;
         for before in [None, Some(0.0), Some(1e-12), Some(wanted), Some(0.5), Some(1.0)] {
-            let (found, freedom) = jitter(&shots, &[0.0], 0.003, 1.0, before).unwrap();
+            let (found, freedom) = jitter(&shots, &Symmetric::zero(1), 0.003, 1.0, before).unwrap();
             assert!((found / wanted - 1.0).abs() < 1e-3, "{before:?}: {found} of {wanted}");
             assert!((freedom.unwrap() - 4.0).abs() < 1e-3);
         }
@@ -145,9 +144,9 @@ mod tests {
     fn alike_shots_have_none_and_a_single_one_tells_none() {
         let alike = sums(&[1.0; 6]);
         for before in [None, Some(0.0), Some(0.1)] {
-            let (found, freedom) = jitter(&alike, &[0.0], 0.003, 1.0, before).unwrap();
+            let (found, freedom) = jitter(&alike, &Symmetric::zero(1), 0.003, 1.0, before).unwrap();
             assert!(found == 0.0 && freedom.is_some_and(|f| (f - 5.0).abs() < 0.1), "{found} {freedom:?}");
         }
-        assert_eq!(jitter(&alike[..1], &[0.0], 0.003, 1.0, None), Some((0.003 * 0.003, None)));
+        assert_eq!(jitter(&alike[..1], &Symmetric::zero(1), 0.003, 1.0, None), Some((0.003 * 0.003, None)));
     }
 }
