@@ -12,6 +12,7 @@ pub mod noise;
 mod record;
 mod rounding;
 mod steadiness;
+pub mod tags;
 pub mod tiles;
 
 pub use flash::{

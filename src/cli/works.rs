@@ -63,12 +63,13 @@ fn calibrate_flash(session: &Session, card: FlashCard, progress: &Progress) -> R
     for shot in &shots {
         let (off, on) = calibration_frames(session, shot);
         let held_out = order.held_out.contains(&shot.name);
-        files.push(CardFiles { plane: Plane::facing(shot.distance_m), on, off: Some(off), held_out });
+        let plane = Some(Plane::facing(shot.distance_m));
+        files.push(CardFiles { plane, on, off: Some(off), held_out });
     }
     for shot in &sent {
         let (on, off) = waiting::card_frames(session, shot).map_err(failed)?;
         // A card shot is not taken in without its distance.
-        let plane = Plane::facing(shot.distance_m.unwrap_or_default());
+        let plane = Some(Plane::facing(shot.distance_m.unwrap_or_default()));
         files.push(CardFiles { plane, on, off, held_out: order.held_out.contains(&shot.number.to_string()) });
     }
     let target = Target::lambertian(order.target_reflectance.unwrap_or(PAPER));

@@ -1,5 +1,6 @@
 //! The only caller of file decoders and encoders.
 
+pub mod apriltag;
 pub mod asset;
 mod canon;
 pub mod cr2;

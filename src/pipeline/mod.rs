@@ -1,6 +1,7 @@
 //! Files to results, in stages keyed by the digest of their inputs.
 
 pub mod calibrate;
+pub mod card_tags;
 pub mod certify;
 pub mod colour;
 pub mod cost;

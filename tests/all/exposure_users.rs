@@ -140,7 +140,7 @@ fn a_table_of_another_body_is_refused_by_everything_that_scales_and_not_where_no
     // Card shots with an unlit frame of another exposure.
     let (off, on) = (folder.path().join("off/p.dng"), folder.path().join("on/p.dng"));
     let card = CardFiles {
-        plane: Plane { point: glam::DVec3::Z, normal: -glam::DVec3::Z },
+        plane: Some(Plane { point: glam::DVec3::Z, normal: -glam::DVec3::Z }),
         on: on.clone(),
         off: Some(off.clone()),
         held_out: false,
@@ -153,6 +153,7 @@ fn a_table_of_another_body_is_refused_by_everything_that_scales_and_not_where_no
         focal_px: Some(200.0),
         free_radii: false,
         lighting: None,
+        tags: None,
     };
     let error = flash::calibrate(&session, &[card], &facts, &Progress::silent()).unwrap_err();
     says(error.to_string());

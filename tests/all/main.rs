@@ -22,6 +22,7 @@ mod camera_faults;
 mod camera_usb;
 mod capture;
 mod certify;
+mod card_tags;
 mod contract;
 mod crowds;
 mod daemon;

@@ -85,7 +85,7 @@ impl Plane {
     }
 
     /// Where a ray from the lens meets its front.
-    pub(super) fn meets(&self, ray: DVec3) -> Option<DVec3> {
+    pub(in crate::calibration) fn meets(&self, ray: DVec3) -> Option<DVec3> {
         let slant = ray.dot(self.normal);
         let far = self.point.dot(self.normal) / slant;
         (slant < 0.0 && far > 0.0 && far.is_finite()).then(|| far * ray)

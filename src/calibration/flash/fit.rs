@@ -193,6 +193,7 @@ impl<'a> Fits<'a> {
             second_render_ratio: self.second_render(model, solution),
             target_curve: target.curve.clone(),
             correction: None,
+            card_tags: vec![],
         }
     }
 

@@ -39,6 +39,7 @@ pub use error::FlashFitError;
 pub use fit::fit_flash;
 pub use vignetting::Vignetting;
 
+use super::tags::CardSight;
 use crate::light::Ring;
 use crate::photometry::NoiseModel;
 use crate::scene::Intrinsics;
@@ -157,6 +158,9 @@ pub struct FlashFindings {
     /// By which single shot an earlier calibration was brought to this energy; absent for a fit of its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correction: Option<Correction>,
+    /// Where AprilTags say the cards stood, of shots that show any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub card_tags: Vec<CardSight>,
 }
 
 /// The calibration that another one rests on.

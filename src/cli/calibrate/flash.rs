@@ -3,6 +3,7 @@
 use crate::calibration::{FieldFactor, FlashCalibration, Interval, Plane, Record, Target, Verdict};
 use crate::cli::lighting::LightingArgs;
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
+use crate::pipeline::card_tags::TagFacts;
 use crate::pipeline::flash::{CardFacts, CardFiles, calibrate, correct};
 use crate::pipeline::steadiness::{self, SteadyFile};
 use glam::DVec3;
@@ -38,9 +39,17 @@ pub(in crate::cli) struct FlashArgs {
     /// Shots: distance in metres from the lens to the card, and the lit frame; after a comma the unlit frame,
     /// where the room was not dark. All at one aperture and ISO, at two distances or more. A card that does not face the
     /// camera: its distance along the lens's axis and its normal towards the camera (x right, y down, z forward), as in
-    /// 0.8@0.1,0,-1=card.cr2.
-    #[arg(long, value_name = "DIST_M=FILE[,OFF]", num_args = 1.., required = true, value_parser = shot)]
+    /// 0.8@0.1,0,-1=card.cr2. With --tag-size the file alone will do.
+    #[arg(long, value_name = "[DIST_M=]FILE[,OFF]", num_args = 1.., required = true, value_parser = shot)]
     shots: Vec<CardFiles>,
+    /// Side in metres of the black squares of AprilTags (family tag36h11) on the card. They tell where the card stands, in
+    /// any pose, where no distance is given; where one is, it is compared with theirs.
+    #[arg(long, value_name = "METRES", value_parser = metres)]
+    tag_size: Option<f64>,
+    /// How far the paper that a tag is printed on reaches beyond its black square, where it is not the card itself. An
+    /// eighth of --tag-size, the tag's white border, if it is not given.
+    #[arg(long, value_name = "METRES", value_parser = metres, requires = "tag_size")]
+    tag_outset: Option<f64>,
     /// Lit frames among the shots to keep from the fit; it is then checked by how well it predicts them.
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with = "hold_out_every")]
     hold_out: Vec<PathBuf>,
@@ -67,6 +76,11 @@ fn radii(text: &str) -> Result<[f64; 2], String> {
     numbers(text).ok_or_else(|| "give inner and outer radius in metres, for example 0.035,0.085".into())
 }
 
+fn metres(text: &str) -> Result<f64, String> {
+    let metres = text.trim().parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0);
+    metres.ok_or_else(|| "give metres, greater than 0, for example 0.05".into())
+}
+
 fn coefficients(text: &str) -> Result<[f64; 3], String> {
     numbers(text).ok_or_else(|| "give three coefficients, for example -0.11,-0.02,0".into())
 }
@@ -85,18 +99,23 @@ fn curve_point(text: &str) -> Result<[f64; 2], String> {
 
 fn shot(text: &str) -> Result<CardFiles, String> {
     let wrong = || format!("{text:?} is not DISTANCE=FILE, for example 0.8=card80.cr2");
-    let (place, files) = text.split_once('=').ok_or_else(wrong)?;
-    let (distance, normal) = match place.split_once('@') {
-        Some((distance, normal)) => (distance, DVec3::from_array(numbers(normal).ok_or_else(wrong)?)),
-        None => (place, -DVec3::Z),
+    let (place, files) = match text.split_once('=') {
+        Some((place, files)) => (Some(place), files),
+        None => (None, text),
     };
-    let distance: f64 = distance.trim().parse().map_err(|_| wrong())?;
-    let normal = normal.try_normalize().ok_or_else(wrong)?;
+    let plane = |place: &str| {
+        let (distance, normal) = match place.split_once('@') {
+            Some((distance, normal)) => (distance, DVec3::from_array(numbers(normal)?)),
+            None => (place, -DVec3::Z),
+        };
+        let distance: f64 = distance.trim().parse().ok()?;
+        Some(Plane { point: distance * DVec3::Z, normal: normal.try_normalize()? })
+    };
+    let plane = place.map(|place| plane(place).ok_or_else(wrong)).transpose()?;
     let (on, off) = match files.split_once(',') {
         Some((on, off)) => (on, Some(PathBuf::from(off))),
         None => (files, None),
     };
-    let plane = Plane { point: distance * DVec3::Z, normal };
     Ok(CardFiles { plane, on: on.into(), off, held_out: false })
 }
 
@@ -128,6 +147,7 @@ pub(super) fn flash(args: &FlashArgs) -> CliResult {
         vignetting: args.vignetting.map(|coefficients| FieldFactor { coefficients }),
         ring_radii: args.ring_radii.unwrap_or_default(),
         focal_px: args.focal_px,
+        tags: args.tag_size.map(|size_m| TagFacts { size_m, outset_m: args.tag_outset }),
         free_radii: args.fit_radii,
         lighting: Some(args.lighting.over(session.manifest().lighting)),
     };

@@ -3,6 +3,7 @@
 use super::validity::fits;
 use super::{CardFacts, CardFiles, FlashError, Reader, file, lens, picture, record, tell_settings};
 use crate::calibration::{FlashCalibration, OtherRig, Record, correct_flash};
+use crate::pipeline::card_tags;
 use crate::pipeline::develop::flash_ratio;
 use crate::progress::Progress;
 use crate::session::{Session, store};
@@ -25,7 +26,7 @@ pub fn correct(
     let mut reader = Reader::new(session, facts)?;
     let card = reader.card(shot)?;
     let settings = reader.first.ok_or(FlashError::NoShots)?;
-    let series = reader.series;
+    let (series, sights, notes) = (reader.series, reader.sights, reader.notes);
     let name = card.label.clone();
     fits(&before, &name, &settings, &series.rig().lighting)?;
     let aperture = before.fit.aperture.map(FNumber);
@@ -40,6 +41,7 @@ pub fn correct(
     let intrinsics = lens(session, card.size, facts.focal_px)?;
     let mut fit = correct_flash(&before.fit, &card, (&intrinsics, &facts.target), light_ratio)?;
     tell_settings(&mut fit, &settings);
+    fit.findings.card_tags = sights;
     let blake3 = store::digest(&bytes);
     let base = format!("flash_{}.json", blake3.get(..8).unwrap_or(&blake3));
     if let Some(correction) = &mut fit.findings.correction {
@@ -48,6 +50,8 @@ pub fn correct(
     }
     progress.check()?;
     session.keep(&session.calibration_dir().join(base), &bytes)?;
-    let (verdict, figure) = (fit.verdict(facts.paper), picture(&fit));
+    let (mut verdict, figure) = (fit.verdict(facts.paper), picture(&fit));
+    verdict.sentences.extend(card_tags::sentences(&fit.findings.card_tags));
+    verdict.sentences.extend(notes);
     Ok(series.keep(fit, verdict, &figure, progress)?)
 }

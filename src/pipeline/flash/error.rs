@@ -5,6 +5,7 @@ use crate::codec::raw::RawError;
 use crate::light::RingError;
 use crate::photometry::{IsolateError, NoNoise};
 use crate::pipeline::calibrate::{RecordError, SeriesError};
+use crate::pipeline::card_tags::CardTagError;
 use crate::pipeline::develop::DevelopError;
 use crate::progress::Cancelled;
 use crate::session::SessionError;
@@ -24,6 +25,17 @@ pub enum FlashError {
         "the lens's focal length is not known: import the scene first (`unlit import scene`), or give --focal-px (focal length in mm times image width in pixels over sensor width in mm)"
     )]
     NoLens,
+    /// Nothing says where the card stood.
+    #[error("{0}: give its distance (DISTANCE_IN_METRES=FILE), or --tag-size if AprilTags are on the card")]
+    NoDistance(String),
+    /// The tags do not say it.
+    #[error("{label}: {source}; or give the distance: DISTANCE_IN_METRES=FILE")]
+    Tags {
+        /// File.
+        label: String,
+        /// What is wrong.
+        source: CardTagError,
+    },
     /// Settings differ between shots.
     #[error(
         "{label} was shot at other settings ({setting}) than the first shot: all card shots need one ISO, aperture and focal length"

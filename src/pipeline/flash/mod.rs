@@ -11,16 +11,18 @@ pub use error::FlashError;
 pub(super) use validity::scaled_for;
 
 use super::calibrate::{self, Series};
+use super::card_tags::{self, TagFacts};
 use super::develop::room_ratio;
 use super::{levels, scene};
+use crate::calibration::tags::{CardPose, CardSight};
 use crate::calibration::{
     CardShot, FieldFactor, FlashCalibration, FlashFacts, Plane, Record, Target, fit_flash,
 };
 use crate::export::chart::{self, Chart};
 use crate::light::Ring;
 use crate::pair::{FlashRecord, FrameRecord, Lighting, Settings};
-use crate::photometry::NoiseGauge;
 use crate::photometry::levels::MeasuredLevels;
+use crate::photometry::{Mosaic, NoiseGauge};
 use crate::pipeline::scale::SessionScale;
 use crate::progress::Progress;
 use crate::scene::{Distortion, Intrinsics};
@@ -32,8 +34,8 @@ use std::path::{Path, PathBuf};
 /// One shot of the card.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CardFiles {
-    /// Where the card was, camera frame.
-    pub plane: Plane,
+    /// Where the card was, camera frame; absent where AprilTags tell.
+    pub plane: Option<Plane>,
     /// The frame lit by the flash.
     pub on: PathBuf,
     /// The frame without it; absent for shots in a dark room.
@@ -60,6 +62,8 @@ pub struct CardFacts {
     pub free_radii: bool,
     /// Polariser and flash power of the shots, where they are not the session's.
     pub lighting: Option<Lighting>,
+    /// AprilTags on the card.
+    pub tags: Option<TagFacts>,
 }
 
 impl CardFacts {
@@ -73,6 +77,7 @@ impl CardFacts {
             focal_px: None,
             free_radii: false,
             lighting: None,
+            tags: None,
         }
     }
 }
@@ -119,6 +124,7 @@ pub fn calibrate(
     };
     let mut fit = fit_flash(&cards, &of_flash)?;
     fit.findings.flat_field = known.source;
+    fit.findings.card_tags = reader.sights;
     tell_settings(&mut fit, &settings);
     progress.check()?;
     for (card, number) in fit.cards.iter().zip(numbers) {
@@ -128,6 +134,8 @@ pub fn calibrate(
     }
     let (mut verdict, figure) = (fit.verdict(facts.paper), picture(&fit));
     verdict.sentences.extend(known.sentence);
+    verdict.sentences.extend(card_tags::sentences(&fit.findings.card_tags));
+    verdict.sentences.extend(reader.notes);
     let record = series.keep(fit, verdict, &figure, progress)?;
     progress.report("fitting the flash", 1, 1);
     Ok(record)
@@ -149,6 +157,13 @@ struct Reader<'a> {
     /// Frames of the room that were read.
     rooms: HashSet<PathBuf>,
     gauge: NoiseGauge,
+    session: &'a Session,
+    focal_px: Option<f64>,
+    tags: Option<TagFacts>,
+    /// What the tags told, shot by shot.
+    sights: Vec<CardSight>,
+    /// What people must be told of shots whose tags tell nothing.
+    notes: Vec<String>,
 }
 
 impl<'a> Reader<'a> {
@@ -164,6 +179,11 @@ impl<'a> Reader<'a> {
             first: None,
             rooms: HashSet::new(),
             gauge: NoiseGauge::default(),
+            session,
+            focal_px: facts.focal_px,
+            tags: facts.tags,
+            sights: vec![],
+            notes: vec![],
         })
     }
 
@@ -182,11 +202,45 @@ impl<'a> Reader<'a> {
             None => None,
         };
         self.gauge.add(&on.mosaic);
-        let mut card = CardShot::reduce(label.clone(), shot.plane, &on.mosaic, room)
-            .map_err(|source| FlashError::Isolate { label, source })?;
+        let seen = self.seen(shot, &label, &on.mosaic, off.as_ref().map(|off| &off.mosaic))?;
+        let plane = shot.plane.or(seen.as_ref().map(|(pose, _)| pose.plane));
+        let plane = plane.ok_or_else(|| FlashError::NoDistance(label.clone()))?;
+        let mut card = CardShot::reduce(label.clone(), plane, &on.mosaic, room)
+            .map_err(|source| FlashError::Isolate { label: label.clone(), source })?;
+        if let (Some((pose, intrinsics)), Some(facts)) = (seen, &self.tags) {
+            let edge = card.edge as f64;
+            card.cells.retain(|cell| !pose.covers(&intrinsics, cell.centre, edge, facts.outset()));
+            let given_distance_m = shot.plane.map(|plane| plane.distance());
+            self.sights.push(CardSight { label, given_distance_m, pose });
+        }
         card.energy_counts = energy_beside(&shot.on)?;
         card.held_out = shot.held_out;
         Ok(card)
+    }
+}
+
+impl Reader<'_> {
+    /// Where the tags say that the card stands, and the lens. A shot whose distance is given need not show them.
+    fn seen(
+        &mut self,
+        shot: &CardFiles,
+        label: &str,
+        on: &Mosaic,
+        off: Option<&Mosaic>,
+    ) -> Result<Option<(CardPose, Intrinsics)>, FlashError> {
+        let Some(facts) = self.tags else { return Ok(None) };
+        let intrinsics = lens(self.session, (on.dn.width(), on.dn.height()), self.focal_px)?;
+        let frames: Vec<&Mosaic> = std::iter::once(on).chain(off).collect();
+        match card_tags::look(&frames, &intrinsics, &facts) {
+            Ok(pose) => Ok(Some((pose, intrinsics))),
+            Err(error) if shot.plane.is_some() => {
+                self.notes.push(format!(
+                    "{label}: its distance was used unchecked, and a tag's black, if there is one, is in the fit: {error}."
+                ));
+                Ok(None)
+            }
+            Err(source) => Err(FlashError::Tags { label: label.to_owned(), source }),
+        }
     }
 }
 

@@ -92,7 +92,7 @@ impl Walk {
             let (bytes, _) = lab::raw_file(&lab::card(&self.cameras[0].intrinsics, distance), i as u64 + 1)?;
             let on = self.folder.path().join(format!("card{i}.dng"));
             std::fs::write(&on, bytes)?;
-            shots.push(CardFiles { plane: Plane::facing(distance), on, off: None, held_out: false });
+            shots.push(CardFiles { plane: Some(Plane::facing(distance)), on, off: None, held_out: false });
         }
         let (ring_radii, _) = lab::ring();
         let facts = CardFacts::plain(Target::lambertian(lab::CARD), ring_radii);
