@@ -31,7 +31,7 @@ pub enum ColoursError {
         /// The calibration.
         file: PathBuf,
         /// What differs.
-        source: OtherRig,
+        source: Box<OtherRig>,
     },
     /// A photo's colour tags cannot be read.
     #[error(transparent)]
@@ -123,7 +123,7 @@ impl SessionColours {
             SessionColour::fits(&record, &pair.on.settings).map_err(|source| ColoursError::OtherRig {
                 pair: pair.name.clone(),
                 file: file.clone(),
-                source,
+                source: Box::new(source),
             })?;
         }
         let blake3 = store::digest_file(&file).map_err(|source| RecordError::Io { path: file, source })?;

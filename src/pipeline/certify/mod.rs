@@ -193,7 +193,7 @@ fn look_at(
 ) -> Result<Vec<Looked>, CertifyError> {
     progress.report("looking for the patches", 0, 1);
     let folder = session.model_dir();
-    let mut surface = Surface::read(scene, &folder)?.ok_or_else(|| CertifyError::Unfit(folder))?;
+    let mut surface = Surface::read(scene, &folder)?.ok_or(CertifyError::Unfit(folder))?;
     if patches.iter().any(|p| matches!(p.place, Place::Point { .. } | Place::Quad { .. })) {
         surface.lay_out()?;
     }
