@@ -84,7 +84,7 @@ mod tests {
         assert_eq!(find(&Image::filled(0, 0, 0)), Ok(vec![]));
         assert_eq!(find(&Image::filled(31, 500, 9)), Ok(vec![]));
         assert_eq!(find(&Image::filled(64, 33, 200)), Ok(vec![]));
-        let hash = |x: usize, y: usize| ((x * 7919 + y * 104_729) * (x + 3 * y + 1) >> 3) as u8;
+        let hash = |x: usize, y: usize| (((x * 7919 + y * 104_729) * (x + 3 * y + 1)) >> 3) as u8;
         assert_eq!(find(&Image::from_fn(301, 203, hash)), Ok(vec![]));
         let boxes = Image::from_fn(300, 200, |x, y| if x % 100 < 60 && y % 100 < 60 { 0 } else { 255 });
         assert_eq!(find(&boxes), Ok(vec![]));

@@ -186,9 +186,9 @@ impl Search<'_> {
 
     /// Minima of all squares in one plane, from the squares' own.
     fn joint_minima(&self, own: &[Vec<Minimum>]) -> Vec<Minimum> {
-        let choices: [fn(&[Minimum]) -> Option<&Minimum>; 2] = [|m| m.first(), |m| m.last()];
-        let found = choices.into_iter().filter_map(|choose| {
-            let picked: Vec<&Minimum> = own.iter().map(|m| choose(m)).collect::<Option<_>>()?;
+        let found = [true, false].into_iter().filter_map(|best| {
+            let choose = |minima: &[Minimum]| if best { 0 } else { minima.len().saturating_sub(1) };
+            let picked: Vec<&Minimum> = own.iter().map(|m| m.get(choose(m))).collect::<Option<_>>()?;
             // The plane through their corners.
             let (mut a, mut b) = (vec![vec![0.0; 3]; 3], vec![0.0; 3]);
             for (t, minimum) in picked.iter().enumerate() {
