@@ -325,7 +325,8 @@ impl Inputs {
         }
         let pairs: Vec<&PairRecord> = matched.iter().map(|(pair, _)| &**pair).collect();
         let of_pairs = matched.iter().map(|(pair, _)| pair.as_ref());
-        let remarks = develop::remarks(session, &calibrated.fit, of_pairs)?;
+        let doubt = flash::doubt(&calibrated).into_iter();
+        let remarks = doubt.chain(develop::remarks(session, &calibrated.fit, of_pairs)?).collect();
         let scaled = flash::scaled_for(&calibrated, pairs.iter().copied(), &scale)?;
         let colours = SessionColours::measured(session, &pairs)?;
         let mut parts: Vec<Vec<u8>> = vec![];

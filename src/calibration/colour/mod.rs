@@ -58,7 +58,9 @@ pub enum ColourError {
     )]
     NotBetween(String),
     /// Too few patches.
-    #[error("only {usable} patches can be used and a matrix needs {LEAST_PATCHES}: {why}")]
+    #[error(
+        "only {usable} patches can be used, and a matrix that can be checked needs more than {LEAST_PATCHES}: {why}"
+    )]
     TooFew {
         /// Patches without fault.
         usable: usize,
@@ -131,7 +133,8 @@ pub struct ColourFit {
     /// The same for each patch under a matrix fitted without it.
     pub leave_one_out: Differences,
     /// The same for each half of the patches, every other one as on a chessboard, under a matrix fitted to the other.
-    pub half_held_out: Differences,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub half_held_out: Option<Differences>,
     /// CIEDE2000 by a matrix without the gradient taken out; equal to `fit` if none was.
     pub fit_even: Differences,
     /// The light over the chart.
@@ -162,7 +165,8 @@ pub fn fit_colour(
         })
         .collect();
     let used: Vec<usize> = (0..all.len()).filter(|&k| readings[k].left_out.is_none()).collect();
-    if used.len() < LEAST_PATCHES {
+    // One more, so that each can be held against a fit without it.
+    if used.len() <= LEAST_PATCHES {
         let why = readings.iter().find_map(|r| r.left_out.clone()).unwrap_or_default();
         return Err(ColourError::TooFew { usable: used.len(), why });
     }
@@ -178,6 +182,9 @@ pub fn fit_colour(
     let ratio = uneven.gradient.abs() / uneven.gradient_error;
     let taken_out = ratio.max_element() > TOLD && uneven_mean < even_mean;
     let (solution, out) = if taken_out { (uneven, out_uneven) } else { (even, out_even) };
+    if out.iter().any(Option::is_none) {
+        return Err(ColourError::NoMatrix);
+    }
     let colour = |k: usize| (used[k] % COLUMNS + used[k] / COLUMNS) % 2;
     let halves = held_out(&samples, taken_out, |k, half| colour(k) == half, 2);
     let white_dn = white(&solution).ok_or(ColourError::NoMatrix)?;
@@ -209,7 +216,7 @@ pub fn fit_colour(
         white_dn: white_dn.to_array(),
         fit: summary(&pairs(&solution)),
         leave_one_out,
-        half_held_out: summary(&flat(&halves)),
+        half_held_out: halves.iter().all(Option::is_some).then(|| summary(&flat(&halves))),
         fit_even: summary(&pairs(&even)),
         evenness: Evenness {
             across: uneven.gradient.x,

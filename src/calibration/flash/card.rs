@@ -61,7 +61,7 @@ pub struct CardShot {
     pub cfa: Cfa,
     /// Sites per edge of a cell; 0 if cells are points.
     pub edge: usize,
-    /// Cells without clipped sites.
+    /// Cells without clipped sites, but for a stray one.
     pub cells: Vec<Cell>,
     /// How often the sensor's variance without light is in a value: 1, and the unlit frame's factor squared.
     pub floors: f64,
@@ -154,21 +154,28 @@ impl CardShot {
     }
 }
 
-/// One cell; `None` if a site of it is clipped.
+/// Share of a cell's sites that may be clipped, stuck ones at whatever light: they are left out of its means.
+const STRAY: f64 = 1e-3;
+
+/// One cell; `None` if more of it is clipped than stray sites are.
 fn cell(on: &Mosaic, off: Option<(&Mosaic, f64)>, first: (usize, usize), edge: usize) -> Option<Cell> {
     let (mut value, mut signal, mut sites) = ([0.0; 3], [0.0; 3], [0.0f64; 3]);
+    let mut clipped = 0;
     for y in first.1..first.1 + edge {
         for x in first.0..first.0 + edge {
             let c = on.cfa.colour(x, y);
-            let lit = f64::from(linear(on, x, y)?);
-            let (room, ratio) = match off {
-                Some((off, ratio)) => (f64::from(linear(off, x, y)?), ratio),
-                None => (0.0, 0.0),
+            let room = off.map_or(Some((0.0, 0.0)), |(off, ratio)| Some((linear(off, x, y)?.into(), ratio)));
+            let (Some(lit), Some((room, ratio))) = (linear(on, x, y).map(f64::from), room) else {
+                clipped += 1;
+                continue;
             };
             value[c] += lit - ratio * room;
             signal[c] += lit + ratio * ratio * room;
             sites[c] += 1.0;
         }
+    }
+    if f64::from(clipped) > STRAY * (edge * edge) as f64 {
+        return None;
     }
     let mean = |sum: [f64; 3]| -> [f64; 3] { std::array::from_fn(|c| sum[c] / sites[c].max(1.0)) };
     let centre = DVec2::new(first.0 as f64, first.1 as f64) + edge as f64 / 2.0;

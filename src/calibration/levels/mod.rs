@@ -28,6 +28,8 @@ use serde::{Deserialize, Serialize};
 const AGREE_ERRORS: f64 = 3.0;
 /// DN by which they may part whatever their errors.
 const AGREE_DN: f64 = 0.25;
+/// Dark frames that read so many DN more than the masked border beside them were not dark.
+const LIT_DN: f64 = 4.0;
 
 /// Levels of one body.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -118,7 +120,9 @@ impl LevelsFit {
         let isos = self.levels.iter().map(|levels| {
             let mut at = LevelsAt { iso: levels.iso, black: [[None; 2]; 2], saturation: [[None; 2]; 2] };
             for site in levels.sites.iter().filter(|site| site.row < 2 && site.column < 2) {
-                at.black[site.row][site.column] = site.black_dn.map(|dn| dn as f32);
+                // A photograph's own masked border is nearer to it than that of frames shot bright.
+                let own = site.black_dn.filter(|_| levels.black_source == Some(BlackSource::DarkFrames));
+                at.black[site.row][site.column] = own.filter(|_| !site.was_lit()).map(|dn| dn as f32);
                 at.saturation[site.row][site.column] = site.clipped_from_dn.map(|dn| dn as f32);
             }
             at
@@ -129,13 +133,20 @@ impl LevelsFit {
     /// What to make of it.
     pub fn verdict(&self) -> Verdict {
         let parted: Vec<String> = self.levels.iter().filter_map(IsoLevels::words_on_masked).collect();
-        let good = self.levels.iter().any(|levels| {
-            levels.sites.iter().any(|site| site.black_dn.is_some() || site.saturation_dn.is_some())
-        });
+        let sites = || self.levels.iter().flat_map(|levels| &levels.sites);
+        let good = sites().any(|site| site.black_dn.is_some() || site.saturation_dn.is_some())
+            && !sites().any(SiteLevels::was_lit);
         let mut sentences: Vec<String> = self.levels.iter().map(IsoLevels::words).collect();
         sentences.extend(parted);
         sentences.extend(self.levels.iter().filter_map(IsoLevels::words_on_not_reached));
         Verdict { good, sentences }
+    }
+}
+
+impl SiteLevels {
+    /// Whether the dark frames saw light: far more above the masked border than borders and sites differ by.
+    fn was_lit(&self) -> bool {
+        matches!((self.black_dn, self.masked_black_dn), (Some(own), Some(masked)) if own - masked > LIT_DN)
     }
 }
 
@@ -184,8 +195,9 @@ impl IsoLevels {
         let parts: Vec<f64> = self.sites.iter().filter_map(apart).collect();
         let worst = parts.into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
         Some(format!(
-            "At {} the masked border reads up to {worst:+.2} DN from the dark frames, which count; were the frames really dark, and is the lens cap tight?",
-            self.iso
+            "At {} the masked border reads up to {worst:+.2} DN from the dark frames, which {}; were the frames really dark, and is the lens cap tight?",
+            self.iso,
+            if self.sites.iter().any(SiteLevels::was_lit) { "DO NOT COUNT" } else { "count" }
         ))
     }
 

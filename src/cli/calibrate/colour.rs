@@ -71,10 +71,11 @@ fn words(record: &Record<SessionColour>) -> String {
     }
     text += &format!("\n{:<34}{:>8}{:>8}{:>8}\n", "CIEDE2000", "mean", "90 %", "max");
     for (name, d) in [
-        ("patches that were fitted", &fit.fit),
-        ("each patch by the others", &fit.leave_one_out),
-        ("each half by the other", &fit.half_held_out),
+        ("patches that were fitted", Some(&fit.fit)),
+        ("each patch by the others", Some(&fit.leave_one_out)),
+        ("each half by the other", fit.half_held_out.as_ref()),
     ] {
+        let Some(d) = d else { continue };
         text += &format!("{name:<34}{:>8.2}{:>8.2}{:>8.2}\n", d.mean, d.percentile_90, d.max);
     }
     text += "\nlinear sRGB from camera RGB, white being 1 in both:\n";

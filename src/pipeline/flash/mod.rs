@@ -8,7 +8,7 @@ mod vignetting;
 
 pub use correct::correct;
 pub use error::FlashError;
-pub(super) use validity::scaled_for;
+pub(super) use validity::{doubt, scaled_for};
 
 use super::calibrate::{self, Series};
 use super::card_tags::{self, TagFacts};

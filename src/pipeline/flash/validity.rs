@@ -6,7 +6,7 @@
 
 use super::FlashError;
 use crate::calibration::exposure::ScaleSource;
-use crate::calibration::{FlashCalibration, OtherRig, Record};
+use crate::calibration::{FlashCalibration, OtherRig, Record, Verdict};
 use crate::pair::{FlashRecord, Lighting, PairRecord, Settings};
 use crate::pipeline::develop::flash_ratio;
 use crate::pipeline::scale::SessionScale;
@@ -112,6 +112,15 @@ pub(in crate::pipeline) fn scaled_for<'a>(
         }
     };
     Ok(scaled.into_iter().map(told).collect())
+}
+
+/// What processing must say where the calibration's own verdict is against it.
+pub(in crate::pipeline) fn doubt(calibrated: &Record<FlashCalibration>) -> Option<String> {
+    let Verdict { good, sentences } = &calibrated.verdict;
+    (!good).then(|| {
+        let why = sentences.first().map_or("its verdict tells no reason", String::as_str);
+        format!("THE FLASH CALIBRATION IS NOT TO BE RELIED ON, and so is no reflectance made with it: {why}")
+    })
 }
 
 #[cfg(test)]

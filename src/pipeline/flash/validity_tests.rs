@@ -1,5 +1,5 @@
 use super::*;
-use crate::calibration::{FlashFindings, Rig, SCHEMA, Verdict};
+use crate::calibration::{FlashFindings, Rig, SCHEMA};
 use crate::light::Ring;
 use crate::pair::{FlashSync, Polariser, SyncSource};
 use crate::photometry::NoiseModel;
@@ -165,4 +165,12 @@ fn another_iso_or_aperture_is_scaled_aloud_and_one_not_told_refused() {
     assert!(scaled[0].contains("2.000 times") && scaled[0].contains("; vignetting is taken"), "{scaled:?}");
     let untold = Settings { iso: None, ..settings() };
     assert!(judged(&calibration, &[at("1", untold)]).unwrap_err().contains("ISO"));
+}
+
+#[test]
+fn a_calibration_that_is_bad_by_its_own_verdict_is_said_to_be() {
+    let mut record = calibrated(Lighting::default(), None);
+    assert_eq!(doubt(&record), None);
+    record.verdict = Verdict { good: false, sentences: vec!["One distance only.".into()] };
+    assert!(doubt(&record).unwrap().ends_with(": One distance only."));
 }

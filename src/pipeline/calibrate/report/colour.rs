@@ -103,12 +103,15 @@ fn differences(fit: &ColourFit, from: &[usize]) -> Piece {
             "Max, S_L = 1",
             "Number",
         ]),
-        rows: vec![
-            row("fitted", &fit.fit),
-            row("each by a fit without it", &fit.leave_one_out),
-            row("each half by a fit to the other", &fit.half_held_out),
-            row("fitted, light taken to be even", &fit.fit_even),
-        ],
+        rows: [
+            Some(row("fitted", &fit.fit)),
+            Some(row("each by a fit without it", &fit.leave_one_out)),
+            fit.half_held_out.as_ref().map(|half| row("each half by a fit to the other", half)),
+            Some(row("fitted, light taken to be even", &fit.fit_even)),
+        ]
+        .into_iter()
+        .flatten()
+        .collect(),
     })
 }
 
