@@ -95,5 +95,5 @@ fn too_few_patches_are_refused_with_the_reason() {
     let mosaic = frame(&image, 900.0, 0.0);
     let readings = ChartFrame::new(&mosaic, None).unwrap().readings(&truth());
     let error = fit_colour(ChartKind::Colorchecker24, &readings, &truth()).unwrap_err().to_string();
-    assert!(error.contains("needs 9") && error.contains("clipped; expose less"), "{error}");
+    assert!(error.contains("needs more than 9") && error.contains("clipped; expose less"), "{error}");
 }

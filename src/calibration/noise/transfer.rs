@@ -1,7 +1,8 @@
 //! The photon transfer line: variance = gain * signal + floor.
 //!
-//! A variance estimated with nu degrees of freedom spreads by sqrt(2 / nu) of itself, so that each point weighs by
-//! nu / (2 m^2), m being the line's own value there (not the measured one: that would favour low values). Solved anew
+//! A variance estimated with nu degrees of freedom spreads by sqrt(2 / nu) of itself, and sensors keep to a straight line
+//! to some 2 % only, which counts where tiles are large; so each point weighs by 1 / ((2 / nu + 0.02^2) m^2), m being the
+//! line's own value there (not the measured one: that would favour low values). Solved anew
 //! until it stands; points further than six standard deviations from the line (something moved, a lamp flickered) drop
 //! out and are counted.
 
@@ -9,6 +10,8 @@ use crate::calibration::linear;
 
 /// Standard deviations from the line beyond which a point is left out.
 const REJECT: f64 = 6.0;
+/// How far, of the variance, a sensor may depart from the line and still be told by it.
+const MISFIT: f64 = 0.02;
 /// Least variance that the line is given, DN^2: half of what rounding alone makes.
 const LEAST: f64 = 1.0 / 24.0;
 /// Points of about the same signal from whose median the first line starts.
@@ -53,6 +56,9 @@ pub(super) fn fit(points: &[Point]) -> Option<Line> {
     if points.len() < 8 {
         return None;
     }
+    let spread = |p: &Point| 2.0 / p.freedom + MISFIT * MISFIT;
+    let points: &[Point] =
+        &points.iter().map(|p| Point { freedom: 2.0 / spread(p), ..*p }).collect::<Vec<_>>();
     let mut model = medians(points);
     let mut line = None;
     for _ in 0..15 {
@@ -130,5 +136,17 @@ mod tests {
         assert!((line.rejected - 1.0 / 41.0).abs() < 1e-9 && line.chi_squared < 1e-9);
         assert_eq!(fit(&vec![on(500.0); 40]), None);
         assert_eq!(fit(&points[..7]), None);
+    }
+
+    #[test]
+    fn large_tiles_ask_no_more_of_a_sensor_than_a_sensor_gives() {
+        // A variance that bends by 3 % over the range, from tiles of 96 x 96 sites a colour.
+        let bent = |signal: f64| (0.3 * signal + 2.3) * (1.0 + 0.03 * (signal / 1600.0 - 0.5));
+        let point = |i: i32| f64::from(i * i);
+        let points: Vec<Point> =
+            (0..40).map(|i| Point { signal: point(i), variance: bent(point(i)), freedom: 9000.0 }).collect();
+        let line = fit(&points).unwrap();
+        assert!(line.rejected == 0.0 && line.chi_squared < 1.0, "{line:?}");
+        assert!((line.gain / 0.3 - 1.0).abs() < 0.03, "{line:?}");
     }
 }
