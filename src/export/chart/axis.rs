@@ -33,8 +33,8 @@ impl Axis {
 
     /// The same, or the axis's lower end for what lies below it.
     pub(super) fn at_or_low(&self, value: f64) -> Option<f64> {
-        let low = if self.logarithmic { 10f64.powf(self.low) } else { self.low };
-        self.at(value.max(low))
+        let place = if self.logarithmic { value.max(0.0).log10() } else { value };
+        if place <= self.low { Some(self.ends[0]) } else { self.at(value) }
     }
 
     /// Round values along the axis, as they are written.
