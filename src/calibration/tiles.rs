@@ -1,14 +1,14 @@
 //! A frame of something even, reduced to the means of tiles: what the series of [`exposure`](super::exposure) and
 //! [`flat`](super::flat) keep of each shot.
 //!
-//! The frame is divided into whole filter cells, all of it, at most [`MOST`] tiles along a side and none smaller than
-//! [`LEAST`] sites. A tile tells, by colour, the mean above black and the variance of that mean. The variance is the
+//! The frame is divided into whole filter cells, all of it, at most `MOST` tiles along a side and none smaller than
+//! `LEAST` sites. A tile tells, by colour, the mean above black and the variance of that mean. The variance is the
 //! frame's own: along a row, `x0 - 2 x1 + x2` of three sites of one colour has six times the variance of one site, and
 //! no slope of the light is in it. A single tile holds few sites to tell it from, so a straight line over all tiles of
 //! the frame, variance against mean, is put in its place; it lies between a constant (read noise alone) and the
 //! proportional (shot noise alone) one.
 //!
-//! A tile is over-exposed in a colour if its mean lies above [`HIGHEST`] of the range or more than [`STRAY`] of its
+//! A tile is over-exposed in a colour if its mean lies above `HIGHEST` of the range or more than `STRAY` of its
 //! sites are clipped. Whole tiles go by their mean, never single sites by their own value: leaving out the sites that
 //! noise has lifted over a limit would make the rest too dark. Single clipped sites in a dark tile are defects of the
 //! sensor and are left out.

@@ -44,7 +44,7 @@ pub fn delta_e_2000(reference: Lab, sample: Lab) -> f64 {
     difference(reference, sample, Lightness::Weighted).length()
 }
 
-/// CIEDE2000 with the lightness of [`Lightness::Plain`].
+/// CIEDE2000 with the lightness of `Lightness::Plain`.
 pub fn delta_e_2000_plain(reference: Lab, sample: Lab) -> f64 {
     difference(reference, sample, Lightness::Plain).length()
 }

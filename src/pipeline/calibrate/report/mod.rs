@@ -1,7 +1,7 @@
 //! `calibration/report.html`: every calibration of a session on one page, each figure with the shots it comes from.
 //!
 //! The page is made anew whenever a calibration is kept. A record that cannot be read does not keep the page from being
-//! written: it is told in its place. Small pictures of the shots are made once ([`shots`]).
+//! written: it is told in its place. Small pictures of the shots are made once (`shots`).
 
 mod certificate;
 mod colour;
