@@ -68,7 +68,7 @@ fn statistics(values: &[[f32; 3]]) -> ([f64; 3], f64) {
 
 /// The evenest parts of the true texture stand for known patches: at most one of each part of it.
 fn patches_of_the_texture() -> Vec<Value> {
-    const CELL: usize = 40;
+    const CELL: usize = 24;
     let truth = tiff16::read_rgb(&shared("scenes/birdbath/truth/texture.tif")).unwrap();
     let covered = tiff16::read_grey8(&shared("scenes/birdbath/truth/texture_coverage.tif")).unwrap();
     let (side, cells) = (truth.width(), truth.width() / CELL);
@@ -78,14 +78,15 @@ fn patches_of_the_texture() -> Vec<Value> {
             let span = move |k: usize| (k * CELL - more)..((k + 1) * CELL + more);
             span(j).flat_map(move |y| span(i).map(move |x| (x, y)))
         };
-        if square(8).all(|(x, y)| *covered.at(x, y) > 0) {
-            let values: Vec<[f32; 3]> = square(8).map(|(x, y)| *truth.at(x, y)).collect();
+        if square(4).all(|(x, y)| *covered.at(x, y) > 0) {
+            let values: Vec<[f32; 3]> = square(4).map(|(x, y)| *truth.at(x, y)).collect();
             let (mean, spread) = statistics(&values);
             if mean.iter().all(|m| *m > 0.1) {
                 found.push((spread, i, j, mean));
             }
         }
     }
+    assert!(found.len() > 5, "{} squares of the texture lie on the object", found.len());
     found.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut taken: Vec<(usize, usize)> = vec![];
     let uv = |i: usize, j: usize| [(i * CELL) as f64 / side as f64, 1.0 - (j * CELL) as f64 / side as f64];
@@ -146,7 +147,7 @@ fn a_model_carries_a_certificate_and_the_colours_of_its_own_chart() {
     let name = session.to_str().unwrap();
     let list = folder.path().join("patches.json");
     let mut patches = patches_of_the_texture();
-    patches.extend(patches_of_a_view("006", true, 4));
+    ["006", "012", "018"].map(|view| patches.extend(patches_of_a_view(view, true, 4)));
     patches.extend(patches_of_a_view("006", false, 4));
     let somewhere =
         |name: &str, place: Value| json!({ "name": name, "known": { "grey": 0.5 }, "place": place });
@@ -209,21 +210,31 @@ fn the_certificate_is_right(certificate: &Value, given: usize) {
     assert_eq!(certificate["summary"]["seen"], json!(seen.len()));
     let from = |what: &str| seen.iter().filter(|p| p["read"]["from"] == what).count();
     assert!(from("texture") >= 10 && from("views") >= 3, "{} and {}", from("texture"), from("views"));
+    // Squares of some photo pixels, with the photographs' own coarseness in their colours: right on average.
+    let of_texture = |patch: &Value| patch["name"].as_str().unwrap().starts_with("texture");
+    let mut of_squares = vec![];
     let (mut inside, mut told, mut errors) = (0, 0, vec![]);
     for patch in &seen {
         let of = |what: &str, c: usize| patch["comparison"][what][c].as_f64();
         for c in 0..3 {
             let error = of("found_reflectance", c).unwrap() - of("known_reflectance", c).unwrap();
             assert!((error - of("error", c).unwrap()).abs() < 1e-9, "{patch:#}");
+            of_squares.extend(of_texture(patch).then_some(error));
+            if of_texture(patch) {
+                continue;
+            }
             errors.push(error);
             if let Some(deviation) = of("standard_deviation", c) {
                 told += 1_u32;
                 inside += usize::from(error.abs() <= 1.96 * deviation);
             }
         }
-        assert!(patch["comparison"]["delta_e_2000"].as_f64().unwrap() < 6.0, "{patch:#}");
+        let limit = if of_texture(patch) { 12.0 } else { 6.0 };
+        assert!(patch["comparison"]["delta_e_2000"].as_f64().unwrap() < limit, "{patch:#}");
     }
     let n = errors.len() as f64;
+    let of_all = of_squares.iter().sum::<f64>() / of_squares.len() as f64;
+    assert!(of_squares.len() >= 9 && of_all.abs() < 0.03, "{of_all} over {of_squares:?}");
     let (mean, far) = (errors.iter().sum::<f64>() / n, errors.iter().filter(|e| e.abs() > 0.04).count());
     println!("{inside} of {told} within 1.96 standard deviations, mean error {mean}, {far} above 0.04");
     assert!(mean.abs() < 0.01 && far as f64 <= 0.1 * n && inside as f64 >= 0.7 * f64::from(told));

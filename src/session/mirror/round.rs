@@ -26,7 +26,9 @@ const ORIGINALS: [&str; 8] = [
     "scene/originals",
 ];
 /// Folders of the lists that speak of them, copied after them.
-const LISTS: [&str; 2] = ["calibration", "scene"];
+const LISTS: [&str; 3] = ["calibration/former", "calibration", "scene"];
+/// Folders that every session has, beside those of units.
+const FOLDERS: [&str; 3] = ["calibration", "scene", "scene/originals"];
 /// Folders of a session whose contents can be made again.
 const EMPTY: [&str; 2] = ["derived", "model"];
 /// Findings that one sentence names.
@@ -125,9 +127,7 @@ impl Copyist {
             other => Outcome::Failed(other.to_string()),
         })?;
         store::remove_temporaries(&self.folder).map_err(|error| failed(&self.folder, error))?;
-        for folder in
-            EMPTY.iter().chain(UNITS.iter().map(|(folder, _)| folder)).chain(&ORIGINALS).chain(&LISTS)
-        {
+        for folder in EMPTY.iter().chain(UNITS.iter().map(|(folder, _)| folder)).chain(&FOLDERS) {
             let folder = self.folder.join(folder);
             std::fs::create_dir_all(&folder).map_err(|error| failed(&folder, error))?;
         }
