@@ -6,11 +6,11 @@ fn main() -> ExitCode {
     if let Ok(this) = std::env::current_exe() {
         unlit::codec::raw::set_decoder_program(this);
     }
-    match unlit::cli::run(std::env::args_os()) {
+    unlit::cli::until_reader_goes(|| match unlit::cli::run(std::env::args_os()) {
         Ok(code) => code.into(),
         Err(error) => {
             eprintln!("unlit: {error}");
             unlit::cli::Exit::Failure.into()
         }
-    }
+    })
 }

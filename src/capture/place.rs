@@ -10,7 +10,7 @@ use crate::pipeline::scale::SessionScale;
 use crate::pipeline::stops::{Delivery, Earlier};
 use crate::rig::Shot;
 use crate::session::{
-    self, Commit, More, NewFrame, NewPair, Prepared, Session, SessionError, Staged, Stager,
+    self, Commit, More, NewFrame, NewPair, Prepared, Session, SessionError, Staged, Stager, advice,
 };
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -56,7 +56,7 @@ pub enum PlaceError {
     #[error(transparent)]
     Session(#[from] SessionError),
     /// The disk refused.
-    #[error("{path}: {source}; check that the disk is there, writable and not full")]
+    #[error("{path}: {source}; {}", advice(source))]
     Disk {
         /// File or folder.
         path: PathBuf,

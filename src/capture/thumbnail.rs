@@ -6,7 +6,7 @@ use crate::photometry::preview::{for_the_eye, reduced};
 use crate::pipeline::calibrate::RecordError;
 use crate::pipeline::scale::SessionScale;
 use crate::raster::Image;
-use crate::session::{Session, store};
+use crate::session::{Session, advice, store};
 use std::path::PathBuf;
 
 /// Longest edge of a thumbnail in pixels.
@@ -27,7 +27,7 @@ pub enum ThumbnailError {
     #[error(transparent)]
     Jpeg(#[from] jpeg::JpegError),
     /// The disk refused.
-    #[error("{path}: {source}; check that the disk is there, writable and not full")]
+    #[error("{path}: {source}; {}", advice(source))]
     Disk {
         /// File or folder.
         path: PathBuf,

@@ -21,6 +21,7 @@ mod new;
 mod openapi;
 mod process;
 mod progress_bar;
+mod reader;
 mod sequence;
 mod serve;
 mod session;
@@ -29,6 +30,8 @@ mod shoot;
 mod stop;
 mod studio;
 mod works;
+
+pub use reader::until_reader_goes;
 
 use crate::log;
 use crate::session::Session;

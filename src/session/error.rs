@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 #[non_exhaustive]
 pub enum SessionError {
     /// The disk refused.
-    #[error("{path}: {source}; check that the disk is there, writable and not full")]
+    #[error("{path}: {source}; {}", advice(source))]
     Io {
         /// File or folder.
         path: PathBuf,
@@ -140,5 +140,38 @@ fn in_use(holder: Option<&Holder>) -> String {
     match holder {
         Some(holder) => format!("{holder}; work through that one, or end it first"),
         None => "another program; close the other `unlit` first".into(),
+    }
+}
+
+/// What to do when the disk refused.
+pub(crate) fn advice(source: &std::io::Error) -> &'static str {
+    use std::io::ErrorKind;
+    match source.kind() {
+        ErrorKind::NotFound => "check the path, and that its disk is there",
+        ErrorKind::PermissionDenied => "check who may read and write it",
+        ErrorKind::ReadOnlyFilesystem => "the disk may only be read: make it writable, or use another",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "make room on that disk, or use another",
+        ErrorKind::IsADirectory => "that is a folder: give a file",
+        ErrorKind::NotADirectory => "a part of that path is a file: check the path",
+        _ => "check that the disk is there and sound",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Error, ErrorKind};
+
+    #[test]
+    fn each_refusal_of_the_disk_says_what_to_do_about_that_one() {
+        let said = |kind: ErrorKind| {
+            SessionError::Io { path: "pairs/0001".into(), source: Error::from(kind) }.to_string()
+        };
+        assert!(said(ErrorKind::NotFound).ends_with("check the path, and that its disk is there"));
+        assert!(said(ErrorKind::StorageFull).contains("make room"));
+        assert!(said(ErrorKind::ReadOnlyFilesystem).contains("make it writable"));
+        assert!(said(ErrorKind::PermissionDenied).contains("who may"));
+        let other = said(ErrorKind::Other);
+        assert!(other.starts_with("pairs/0001") && other.ends_with("sound"), "{other}");
     }
 }

@@ -30,6 +30,7 @@ pub use commit::{
     Commit, More, NewFrame, NewPair, Prepared, Staged, Stager, frame_files, frame_record, original_file_name,
 };
 pub use error::SessionError;
+pub(crate) use error::advice;
 pub use files::{FileKind, SessionFile, file_id};
 pub use journal::{Entry, Event, now as utc_now};
 pub use lock::{Holder, Lock};

@@ -61,6 +61,7 @@ mod processes;
 mod pulled_port;
 mod raw;
 mod raw_http;
+mod reader;
 mod real_rig;
 mod repeatability;
 mod samples;

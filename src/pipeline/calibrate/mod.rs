@@ -22,7 +22,7 @@ use crate::export::chart::{self, Chart};
 use crate::pair::Lighting;
 use crate::photometry::levels::MeasuredLevels;
 use crate::progress::{Cancelled, Progress};
-use crate::session::{Session, SessionError, store as disk, utc_now};
+use crate::session::{Session, SessionError, advice, store as disk, utc_now};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::io::ErrorKind;
@@ -33,7 +33,7 @@ use std::path::{Path, PathBuf};
 #[non_exhaustive]
 pub enum SeriesError {
     /// The disk refused.
-    #[error("{}: {source}; check that the disk is there, writable and not full", path.display())]
+    #[error("{}: {source}; {}", path.display(), advice(source))]
     Io {
         /// File or folder.
         path: PathBuf,
@@ -78,7 +78,7 @@ pub enum SeriesError {
 #[non_exhaustive]
 pub enum RecordError {
     /// The disk refused.
-    #[error("{}: {source}; check that the disk is there and readable", path.display())]
+    #[error("{}: {source}; {}", path.display(), advice(source))]
     Io {
         /// The file.
         path: PathBuf,

@@ -12,7 +12,7 @@ use crate::pair::Settings;
 use crate::photometry::Mosaic;
 use crate::photometry::levels::MeasuredLevels;
 use crate::pipeline::levels as sensor_levels;
-use crate::session::{self, Event, Session, SessionError, store, utc_now};
+use crate::session::{self, Event, Session, SessionError, advice, store, utc_now};
 use crate::units::{FNumber, Iso, Seconds};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -33,7 +33,7 @@ const STRIDE: usize = 7;
 #[non_exhaustive]
 pub enum WaitingError {
     /// The disk refused.
-    #[error("{}: {source}; check that the disk is there, writable and not full", path.display())]
+    #[error("{}: {source}; {}", path.display(), advice(source))]
     Io {
         /// File or folder.
         path: PathBuf,

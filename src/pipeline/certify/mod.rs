@@ -21,7 +21,7 @@ use crate::codec::exr_image;
 use crate::pair::PairRecord;
 use crate::progress::{Cancelled, Progress};
 use crate::reflectance::atlas::AtlasError;
-use crate::session::{Session, store, utc_now};
+use crate::session::{Session, advice, store, utc_now};
 use look::{Found, Looked, Surface};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -87,7 +87,7 @@ pub enum CertifyError {
 #[non_exhaustive]
 pub enum CertificateError {
     /// The disk refused.
-    #[error("{}: {source}; check that the disk is there and readable", path.display())]
+    #[error("{}: {source}; {}", path.display(), advice(source))]
     Io {
         /// The file.
         path: PathBuf,
