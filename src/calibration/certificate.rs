@@ -52,7 +52,7 @@ pub struct Comparison {
     pub found_reflectance: [f64; 3],
     /// Standard deviation of that; absent where nothing tells it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub standard_deviation: Option<[f64; 3]>,
+    pub found_reflectance_standard_error: Option<[f64; 3]>,
     /// Found - known.
     pub error: [f64; 3],
     /// |found - known|.
@@ -83,7 +83,7 @@ impl Comparison {
         Self {
             known_reflectance: known,
             found_reflectance: found,
-            standard_deviation: deviation,
+            found_reflectance_standard_error: deviation,
             error,
             absolute_error: error.map(f64::abs),
             relative_error: std::array::from_fn(|c| error[c] / known[c]),

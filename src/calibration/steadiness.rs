@@ -21,7 +21,7 @@ pub struct SteadyShot {
     /// Mean known light, DN, red green blue.
     pub light_dn: [f64; 3],
     /// Standard error of each by the sensor's noise, DN.
-    pub light_error_dn: [f64; 3],
+    pub light_dn_standard_error: [f64; 3],
     /// Energy of its pulse in whatever counts it was measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub energy_counts: Option<f64>,
@@ -39,7 +39,7 @@ pub struct Steadiness {
     /// Of the flash's energy between shots, the sensor's noise taken out.
     pub jitter_deviation: f64,
     /// 95 % interval of it.
-    pub jitter_interval: [f64; 2],
+    pub jitter_deviation_interval_95: [f64; 2],
     /// Of the frames as they came.
     pub light_deviation: f64,
     /// Part of it that is the sensor's noise.
@@ -48,7 +48,7 @@ pub struct Steadiness {
     /// known.
     pub corrected_deviation: Option<f64>,
     /// 95 % interval of it.
-    pub corrected_interval: Option<[f64; 2]>,
+    pub corrected_deviation_interval_95: Option<[f64; 2]>,
     /// Largest excursion of a shot from the mean.
     pub largest_excursion: f64,
     /// Change from the first to the last shot by a straight line through all: a flash that warms up or a battery that
@@ -84,7 +84,7 @@ pub fn steadiness(mut frames: Vec<SteadyShot>) -> Result<Steadiness, SteadyError
     let mean = |of: &dyn Fn(&SteadyShot) -> f64| frames.iter().map(of).sum::<f64>() / n;
     let level: [f64; 3] = std::array::from_fn(|c| mean(&|s| s.light_dn[c]));
     let noise: [f64; 3] =
-        std::array::from_fn(|c| mean(&|s| s.light_error_dn[c].powi(2)).sqrt().max(1e-12) / level[c]);
+        std::array::from_fn(|c| mean(&|s| s.light_dn_standard_error[c].powi(2)).sqrt().max(1e-12) / level[c]);
     let weight = noise.map(|n| n.powi(-2));
     let total: f64 = weight.iter().sum();
     let sensor = total.sqrt().recip();
@@ -114,11 +114,11 @@ pub fn steadiness(mut frames: Vec<SteadyShot>) -> Result<Steadiness, SteadyError
         / (n * (n * n - 1.0) / 12.0);
     Ok(Steadiness {
         jitter_deviation: own(light_deviation),
-        jitter_interval: interval(light_deviation),
+        jitter_deviation_interval_95: interval(light_deviation),
         light_deviation,
         sensor_deviation: sensor,
         corrected_deviation: corrected.as_deref().map(|c| own(deviation(c))),
-        corrected_interval: corrected.as_deref().map(|c| interval(deviation(c))),
+        corrected_deviation_interval_95: corrected.as_deref().map(|c| interval(deviation(c))),
         largest_excursion: light.iter().map(|l| (l - 1.0).abs()).fold(0.0, f64::max),
         drift: slope * (n - 1.0),
         frames,
@@ -130,7 +130,7 @@ impl Steadiness {
     pub fn verdict(&self) -> super::Verdict {
         let percent = |part: f64| format!("{:.3} %", 100.0 * part);
         let good = self.corrected_deviation.unwrap_or(self.jitter_deviation) <= GOOD;
-        let [low, high] = self.jitter_interval;
+        let [low, high] = self.jitter_deviation_interval_95;
         let mut sentences = vec![format!(
             "The flash's energy has a standard deviation of {} between shots (95 %: {} to {}; {} frames).",
             percent(self.jitter_deviation),
@@ -181,11 +181,13 @@ mod tests {
             .map(|i| {
                 let energy = 1.0 + jitter * gauss();
                 let level = [900.0, 2000.0, 700.0];
-                let light_error_dn = level.map(|l| l * sensor * 3f64.sqrt());
+                let light_dn_standard_error = level.map(|l| l * sensor * 3f64.sqrt());
                 SteadyShot {
                     label: format!("{i}"),
-                    light_dn: std::array::from_fn(|c| level[c] * energy + light_error_dn[c] * gauss()),
-                    light_error_dn,
+                    light_dn: std::array::from_fn(|c| {
+                        level[c] * energy + light_dn_standard_error[c] * gauss()
+                    }),
+                    light_dn_standard_error,
                     energy_counts: Some(1e5 * energy),
                     relative_light: 0.0,
                     relative_light_by_energy: None,
@@ -200,7 +202,7 @@ mod tests {
         let mut held = 0;
         for _ in 0..1000 {
             let found = steadiness(series(&mut random, 40, 0.0029, 0.0005)).unwrap();
-            let [low, high] = found.jitter_interval;
+            let [low, high] = found.jitter_deviation_interval_95;
             held += usize::from((low..=high).contains(&0.0029));
             assert!(found.corrected_deviation.unwrap() < 0.0006);
         }

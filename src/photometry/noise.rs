@@ -11,8 +11,10 @@ const TILE: usize = 16;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseModel {
     /// Variance per DN of signal (the inverse of electrons per DN), DN.
+    #[serde(rename = "gain_dn")]
     pub gain: f32,
     /// Variance without light, DN^2.
+    #[serde(rename = "floor_dn2")]
     pub floor: f32,
 }
 

@@ -170,9 +170,9 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
     }
     facts.push(fact("Exposures scaled", told.summary.ratios.words()));
     let [a1, a2, a3] = fit.field.coefficients;
-    let radiance = match fit.radiance_error {
-        Some(error) => format!("{} DN, standard error {} DN", three(fit.radiance, 0), three(error, 0)),
-        None => format!("{} DN, not from a fit", three(fit.radiance, 0)),
+    let radiance = match fit.radiance_dn_standard_error {
+        Some(error) => format!("{} DN, standard error {} DN", three(fit.radiance_dn, 0), three(error, 0)),
+        None => format!("{} DN, not from a fit", three(fit.radiance_dn, 0)),
     };
     facts.extend([
         fact("Ring, radii", format!("{} to {} m", fit.ring.inner, fit.ring.outer)),
@@ -186,18 +186,18 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
             format!("variance = {:.4} DN \u{d7} signal + {:.2} DN\u{b2}", fit.noise.gain, fit.noise.floor),
         ),
         fact("Card", format!("reflectance taken to be {}", fit.target_reflectance)),
-        fact("Residual of the fit", percent(fit.rms)),
+        fact("Residual of the fit", percent(fit.residual_rms)),
     ]);
     let rows = fit.cards.iter().map(|shot| {
-        let used = |text: String| if shot.used { text } else { "left out".into() };
+        let used = |text: Option<String>| text.filter(|_| shot.used).unwrap_or_else(|| "left out".into());
         let measured = shot.measured_gain.map_or_else(|| "not measured".into(), |g| format!("{g:.4}"));
         vec![
             shot.label.clone(),
-            format!("{} m", shot.distance),
-            used(format!("{:.4}", shot.gain)),
-            used(measured),
-            used(percent(shot.rms)),
-            percent(shot.clipped),
+            format!("{} m", shot.distance_m),
+            used(shot.gain.map(|gain| format!("{gain:.4}"))),
+            used(Some(measured)),
+            used(shot.residual_rms.map(percent)),
+            percent(shot.clipped_share),
         ]
     });
     let head = vec!["Card shot", "Distance", "Flash, relative", "By photodiode", "Residual", "Clipped"];
@@ -299,8 +299,9 @@ mod tests {
         };
         let calibration = FlashCalibration {
             ring: Ring::new(0.035, 0.085).unwrap(),
-            radiance: [51_234.0, 52_345.0, 43_456.0],
-            radiance_error: None,
+            radiance_dn: [51_234.0, 52_345.0, 43_456.0],
+            radiance_dn_interval_95: None,
+            radiance_dn_standard_error: None,
             field: FieldFactor { coefficients: [-0.1234, 0.0, 0.0] },
             noise: NoiseModel { gain: 0.3125, floor: 4.5 },
             target_reflectance: 0.94,
@@ -310,18 +311,18 @@ mod tests {
             energy_counts: None,
             cards: vec![CardResidual {
                 label: "card-far.dng".into(),
-                distance: 1.4,
-                gain: 1.0,
+                distance_m: 1.4,
+                gain: Some(1.0),
                 measured_gain: None,
-                rms: 0.0021,
-                clipped: 0.0,
+                residual_rms: Some(0.0021),
+                clipped_share: 0.0,
                 used: true,
                 left_out: None,
                 prediction_error: None,
-                prediction_half: None,
+                prediction_error_interval_95: None,
                 held_out: false,
             }],
-            rms: 0.0037,
+            residual_rms: 0.0037,
             findings: Default::default(),
         };
         let summary = ProcessSummary {

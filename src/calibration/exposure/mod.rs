@@ -77,7 +77,7 @@ pub struct Step {
     /// Measured factor over the ideal one, less 1. Exactly 0 at step 00.
     pub deviation: f64,
     /// 95 % interval of the deviation.
-    pub deviation_95: [f64; 2],
+    pub deviation_interval_95: [f64; 2],
     /// Shots that it is the mean of.
     pub shots: usize,
     /// Which they are: places in the order given, from 0.
@@ -314,7 +314,7 @@ fn steps_of(raw: &[Raw], scatter: Option<f64>, freedom: usize) -> Vec<Step> {
             step_thirds: (3e6 * stops).round() / 1e6,
             factor: own.factor,
             deviation: ratio - 1.0,
-            deviation_95: [ratio - 1.0 - half, ratio - 1.0 + half],
+            deviation_interval_95: [ratio - 1.0 - half, ratio - 1.0 + half],
             shots: own.shots.len(),
             shot_numbers: own.shots.clone(),
             frame_share: own.frame_share,

@@ -18,6 +18,7 @@ const LEAST_EDGE: usize = 8;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plane {
     /// A point of it, metres.
+    #[serde(rename = "point_m")]
     pub point: DVec3,
     /// Its unit normal, towards the camera.
     pub normal: DVec3,

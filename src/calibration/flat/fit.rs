@@ -1,6 +1,6 @@
 //! The curve, its order and its errors.
 
-use super::{FValues, Figure, FlatCalibration, FlatField, FlatFitError, KEEP, same_optics};
+use super::{FValues, FlatCalibration, FlatField, FlatFitError, KEEP, ProfilePoint, same_optics};
 use crate::calibration::linear::solve;
 use crate::calibration::tiles::{EvenFrame, Tile, Tiles};
 
@@ -265,20 +265,21 @@ fn told_by(
     colours: &[usize],
 ) -> FlatCalibration {
     let excess = excess(fit);
-    let figure = |value: f64, variance: f64, more: f64| {
+    let interval = |value: f64, variance: f64, more: f64| {
         let half = 1.96 * (variance.max(0.0) * excess + more * more).sqrt();
-        Figure { value, interval_95: [value - half, value + half] }
+        [value - half, value + half]
     };
-    let corner = std::array::from_fn(|c| {
+    let corner: [f64; 3] = std::array::from_fn(|c| fit.field.at_q(1.0, c));
+    let corner_interval_95 = std::array::from_fn(|c| {
         let first = place(fit.order, colours, fit.per_channel, c, 0);
         let own = first..first + fit.order;
         let variance = own.clone().flat_map(|i| own.clone().map(move |j| (i, j)));
         let variance = variance.map(|(i, j)| fit.covariance[i][j]).sum();
-        figure(fit.field.at_q(1.0, c), variance, fit.selection)
+        interval(corner[c], variance, fit.selection)
     });
     let gradient_at = fit.covariance.len() - 2;
-    let light_gradient =
-        [0, 1].map(|a| figure(fit.gradient[a], fit.covariance[gradient_at + a][gradient_at + a], 0.0));
+    let light_gradient_interval_95 =
+        [0, 1].map(|a| interval(fit.gradient[a], fit.covariance[gradient_at + a][gradient_at + a], 0.0));
     let model = |p: &Point| {
         let [a, b, c] = fit.field.coefficients[p.colour];
         let curve = a * p.powers[0] + b * p.powers[1] + c * p.powers[2];
@@ -286,7 +287,7 @@ fn told_by(
     };
     let squares: f64 = points.iter().map(|p| (p.value / model(p) - 1.0).powi(2)).sum();
     let grid = used.first().map_or((1, 1), |t| t.grid);
-    let (residual_map, residual_map_noise) = map(points, model, grid);
+    let (residual_map, residual_map_standard_error) = map(points, model, grid);
     let slope = |p: &Point| fit.gradient[0] * p.place[0] + fit.gradient[1] * p.place[1];
     let profile = std::array::from_fn(|c| {
         let light = |p: &Point| (p.value / fit.strength[c] - slope(p), p.variance / fit.strength[c].powi(2));
@@ -305,23 +306,26 @@ fn told_by(
         per_channel: fit.per_channel,
         f_values,
         corner,
-        light_gradient,
-        chi2_per_freedom: fit.chi2 / fit.freedom,
+        corner_interval_95,
+        light_gradient: fit.gradient,
+        light_gradient_interval_95,
+        chi_squared: fit.chi2 / fit.freedom,
         residual_rms: (squares / points.len().max(1) as f64).sqrt(),
         residual_map,
-        residual_map_noise,
+        residual_map_standard_error,
         profile,
         frames: used.len(),
-        used: share,
+        used_share: share,
     }
 }
 
 /// Mean distance, light and its standard error of the points in one ring.
-fn ring_mean(points: &[(f64, f64, f64)], ring: usize) -> Option<[f64; 3]> {
+fn ring_mean(points: &[(f64, f64, f64)], ring: usize) -> Option<ProfilePoint> {
     let inside = || points.iter().filter(|p| ((p.0 * RINGS as f64) as usize).min(RINGS - 1) == ring);
     let n = inside().count() as f64;
     let sum = inside().fold([0.0; 3], |[r, v, e], p| [r + p.0, v + p.1, e + p.2]);
-    (n > 0.0).then(|| [sum[0] / n, sum[1] / n, sum[2].sqrt() / n])
+    let [radius, light, light_standard_error] = [sum[0] / n, sum[1] / n, sum[2].sqrt() / n];
+    (n > 0.0).then_some(ProfilePoint { radius, light, light_standard_error })
 }
 
 /// Weighted means of the relative residuals in parts of the frame, and the median of their standard errors.

@@ -85,7 +85,7 @@ pub(super) fn residuals(pair: &PairTiles, line: &Line) -> Vec<PairResidual> {
             colour: COLOURS[c].to_owned(),
             signal_dn: signal / n,
             variance_dn2: variance / n,
-            variance_error_dn2: squares.sqrt() / n,
+            variance_dn2_standard_error: squares.sqrt() / n,
             model_dn2: line.at(signal / n),
         })
     };

@@ -60,9 +60,9 @@ pub struct CardPose {
     /// Distance from the lens's centre of projection along its axis, metres.
     pub distance_m: f64,
     /// Standard error of it, from the picture alone: a wrong tag size or focal length scales the distance and is not in it.
-    pub distance_error_m: f64,
+    pub distance_m_standard_error: f64,
     /// Root mean square angle between the normal found and the true one, radians.
-    pub normal_error_rad: f64,
+    pub normal_rad_standard_error: f64,
     /// Root mean square distance of the sides' points from the fit, pixels of the frame.
     pub rms_px: f64,
     /// Side of the black squares that was given, metres.
@@ -209,8 +209,8 @@ pub fn card_pose(
     Ok(CardPose {
         plane: fit.plane,
         distance_m: fit.plane.distance(),
-        distance_error_m: fit.distance_error,
-        normal_error_rad: fit.normal_error,
+        distance_m_standard_error: fit.distance_error,
+        normal_rad_standard_error: fit.normal_error,
         rms_px: fit.rms,
         tag_size_m: size_m,
         tags: tags.collect(),

@@ -67,7 +67,7 @@ pub(super) fn figure(fit: &FlatCalibration) -> Chart {
     let named = ["red", "green", "blue"].into_iter().zip(&fit.profile).filter(|(_, rings)| !rings.is_empty());
     let series = named.map(|(name, rings)| Points {
         name: name.into(),
-        points: rings.iter().map(|[r, light, error]| (*r, *light, 1.96 * error)).collect(),
+        points: rings.iter().map(|p| (p.radius, p.light, 1.96 * p.light_standard_error)).collect(),
     });
     Chart {
         caption: "Light around the frame's centre, with its 95 % interval: vignetting.".into(),

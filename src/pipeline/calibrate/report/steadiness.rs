@@ -18,8 +18,16 @@ pub(super) fn tell(_: &Session, record: &Record<Steadiness>) -> Told {
     let fit = &record.fit;
     let from = used(record, |_| true);
     let told: [Deviation<'_>; 6] = [
-        ("Energy between shots, standard deviation", Some(fit.jitter_deviation), Some(fit.jitter_interval)),
-        ("Left when divided by measured energies", fit.corrected_deviation, fit.corrected_interval),
+        (
+            "Energy between shots, standard deviation",
+            Some(fit.jitter_deviation),
+            Some(fit.jitter_deviation_interval_95),
+        ),
+        (
+            "Left when divided by measured energies",
+            fit.corrected_deviation,
+            fit.corrected_deviation_interval_95,
+        ),
         ("Light as it came, standard deviation", Some(fit.light_deviation), None),
         ("Of that, the sensor's noise", Some(fit.sensor_deviation), None),
         ("Largest excursion of a shot", Some(fit.largest_excursion), None),
