@@ -11,6 +11,7 @@ mod linear;
 pub mod noise;
 mod record;
 mod rounding;
+mod statistics;
 mod steadiness;
 pub mod tags;
 pub mod tiles;

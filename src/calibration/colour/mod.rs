@@ -9,7 +9,6 @@ mod cielab;
 mod find;
 mod fit;
 mod lattice;
-mod linear;
 mod overlay;
 mod plane;
 mod regions;

@@ -31,7 +31,7 @@ pub use ladder::Setting;
 pub use table::{ExposureTable, ScaleSource};
 pub use words::verdict;
 
-use super::linear::t_975;
+use super::statistics::t_975;
 use super::tiles::{EvenFrame, Tiles};
 use crate::pair::Settings;
 use serde::{Deserialize, Serialize};

@@ -87,14 +87,11 @@ pub fn fit_flash(shots: &[CardShot], facts: &FlashFacts) -> Result<FlashCalibrat
     });
     let cards_told: Vec<CardResidual> = residuals.collect();
     let findings = fits.findings(&model, &solution, &cards_told, facts.target);
-    let unit = |i: usize| (0..solution.theta.len()).map(|j| f64::from(u8::from(i == j))).collect::<Vec<_>>();
     Ok(FlashCalibration {
         ring: flash.ring,
         radiance_dn: flash.radiance,
         radiance_dn_interval_95: Some(fits.radiance_interval(&solution)),
-        radiance_dn_standard_error: Some(std::array::from_fn(|c| {
-            flash.radiance[c] * solution.error(&unit(c))
-        })),
+        radiance_dn_standard_error: Some(std::array::from_fn(|c| flash.radiance[c] * solution.error(c))),
         field: flash.field,
         noise: facts.noise,
         target_reflectance: facts.target.reflectance,
@@ -208,9 +205,7 @@ impl<'a> Fits<'a> {
     /// Ends of the radiances' 95 % intervals, red green blue.
     fn radiance_interval(&self, solution: &Solution) -> [[f64; 2]; 3] {
         std::array::from_fn(|c| {
-            let mut form = vec![0.0; solution.theta.len()];
-            form[c] = 1.0;
-            let (value, half) = (self.guess[c] * solution.theta[c].exp(), solution.half_interval(&form));
+            let (value, half) = (self.guess[c] * solution.theta[c].exp(), solution.half_interval(c));
             [value * (-half).exp(), value * half.exp()]
         })
     }
@@ -238,9 +233,7 @@ impl<'a> Fits<'a> {
 /// Half of a figure's 95 % interval.
 fn half(model: &Cards, solution: &Solution, figure: Figure) -> Option<(usize, f64)> {
     let place = model.place(figure)?;
-    let mut form = vec![0.0; solution.theta.len()];
-    form[place] = 1.0;
-    Some((place, solution.half_interval(&form)))
+    Some((place, solution.half_interval(place)))
 }
 
 /// Whether the shots tell a figure well enough to be of use.

@@ -26,7 +26,6 @@ mod check;
 mod correct;
 mod error;
 mod fit;
-mod linear;
 mod mixed;
 mod model;
 mod variance;

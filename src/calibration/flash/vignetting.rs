@@ -1,8 +1,8 @@
 //! The lens's vignetting as it is known before the flash is fitted.
 
 use super::FieldFactor;
-use super::linear::Symmetric;
 use crate::calibration::flat::ProfilePoint;
+use crate::calibration::linear::Normal;
 
 /// A curve and how well it is known.
 ///
@@ -29,8 +29,8 @@ impl Vignetting {
     /// own, and its information without those levels. `near` is a curve near it. Residuals that are more than noise,
     /// also what the colours differ by, lower the information. `None` if the profile does not tell a curve.
     pub fn of_profile(near: FieldFactor, profile: &[Vec<ProfilePoint>; 3]) -> Option<Self> {
-        let mut information = Symmetric::zero(3);
-        let (mut pull, mut squares, mut freedom) = ([0.0; 3], 0.0, -3.0);
+        let mut normal = Normal::zero(3);
+        let (mut squares, mut freedom) = (0.0, -3.0);
         for rings in profile.iter().filter(|rings| !rings.is_empty()) {
             // Sums for the level, the curve's changes, and both.
             let (mut level, mut level_pull, mut across) = (0.0, 0.0, [0.0; 3]);
@@ -38,26 +38,22 @@ impl Vignetting {
                 let (q, weight) = (radius * radius, light_standard_error.powi(-2));
                 let (curve, powers) = (near.at_q(q), [q, q * q, q * q * q]);
                 let off = light - curve;
-                information.add_outer(&powers, weight);
+                normal.add(&powers, off, weight);
                 level += weight * curve * curve;
                 level_pull += weight * curve * off;
-                for i in 0..3 {
-                    across[i] += weight * curve * powers[i];
-                    pull[i] += weight * powers[i] * off;
-                }
+                (0..3).for_each(|i| across[i] += weight * curve * powers[i]);
                 squares += weight * off * off;
             }
-            information.add_outer(&across, -1.0 / level);
-            (0..3).for_each(|i| pull[i] -= across[i] * level_pull / level);
+            normal.add(&across, level_pull, -1.0 / level);
             squares -= level_pull * level_pull / level;
             freedom += rings.len() as f64 - 1.0;
         }
-        let change = information.inverse()?.times(&pull);
-        squares -= change.iter().zip(&pull).map(|(c, p)| c * p).sum::<f64>();
+        let (change, _) = normal.solve()?;
+        squares -= change.dot(&normal.right);
         let excess = if freedom > 0.0 { (squares / freedom).max(1.0) } else { 1.0 };
         let mut field = near;
-        field.coefficients.iter_mut().zip(change).for_each(|(a, c)| *a += c);
-        let information = std::array::from_fn(|i| std::array::from_fn(|j| information.at(i, j) / excess));
+        field.coefficients.iter_mut().zip(&change).for_each(|(a, c)| *a += c);
+        let information = std::array::from_fn(|i| std::array::from_fn(|j| normal.matrix[(i, j)] / excess));
         Some(Self { field, information: Some(information) })
     }
 }

@@ -1,8 +1,9 @@
 //! The curve, its order and its errors.
 
 use super::{FValues, FlatCalibration, FlatField, FlatFitError, KEEP, ProfilePoint, same_optics};
-use crate::calibration::linear::solve;
+use crate::calibration::linear::Normal;
 use crate::calibration::tiles::{EvenFrame, Tile, Tiles};
+use nalgebra::DMatrix;
 
 /// Largest relative standard error of a frame's mean light that is a measurement.
 const DARKEST: f64 = 0.02;
@@ -40,7 +41,7 @@ struct Fit {
     strength: [f64; 3],
     field: FlatField,
     gradient: [f64; 2],
-    covariance: Vec<Vec<f64>>,
+    covariance: DMatrix<f64>,
     chi2: f64,
     freedom: f64,
     /// What each of the higher orders would change at the corner, root of the sum of squares.
@@ -193,10 +194,10 @@ fn solve_model(points: &[Point], colours: &[usize], order: usize, per_channel: b
         let own = || points.iter().filter(|p| p.colour == c);
         x[i] = own().map(|p| p.value).sum::<f64>() / own().count().max(1) as f64;
     }
-    let (mut covariance, mut chi2) = (vec![], 0.0);
+    let (mut covariance, mut chi2) = (DMatrix::zeros(0, 0), 0.0);
     let mut row = vec![0.0; unknowns];
     for round in 0..=ROUNDS {
-        let (mut matrix, mut right) = (vec![vec![0.0; unknowns]; unknowns], vec![0.0; unknowns]);
+        let mut normal = Normal::zero(unknowns);
         chi2 = 0.0;
         for p in points {
             let at = colours.iter().position(|&c| c == p.colour)?;
@@ -210,13 +211,9 @@ fn solve_model(points: &[Point], colours: &[usize], order: usize, per_channel: b
             row[gradient_at + 1] = s * p.place[1];
             let rest = p.value - s * shape;
             chi2 += rest * rest / p.variance;
-            for (i, a) in row.iter().enumerate().filter(|(_, a)| **a != 0.0) {
-                let weighted = a / p.variance;
-                right[i] += weighted * rest;
-                matrix[i].iter_mut().zip(&row).for_each(|(m, b)| *m += weighted * b);
-            }
+            normal.add(&row, rest, p.variance.recip());
         }
-        let (step, inverse) = solve(&matrix, &right)?;
+        let (step, inverse) = normal.solve()?;
         covariance = inverse;
         let moved = x.iter().zip(&step).any(|(x, d)| d.abs() > 1e-10 * (x.abs() + 1e-3));
         if round == ROUNDS || !moved {
@@ -274,12 +271,12 @@ fn told_by(
         let first = place(fit.order, colours, fit.per_channel, c, 0);
         let own = first..first + fit.order;
         let variance = own.clone().flat_map(|i| own.clone().map(move |j| (i, j)));
-        let variance = variance.map(|(i, j)| fit.covariance[i][j]).sum();
+        let variance = variance.map(|(i, j)| fit.covariance[(i, j)]).sum();
         interval(corner[c], variance, fit.selection)
     });
-    let gradient_at = fit.covariance.len() - 2;
+    let gradient_at = fit.covariance.nrows() - 2;
     let light_gradient_interval_95 =
-        [0, 1].map(|a| interval(fit.gradient[a], fit.covariance[gradient_at + a][gradient_at + a], 0.0));
+        [0, 1].map(|a| interval(fit.gradient[a], fit.covariance[(gradient_at + a, gradient_at + a)], 0.0));
     let model = |p: &Point| {
         let [a, b, c] = fit.field.coefficients[p.colour];
         let curve = a * p.powers[0] + b * p.powers[1] + c * p.powers[2];

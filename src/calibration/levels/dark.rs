@@ -2,8 +2,8 @@
 
 use super::histogram::{Centre, Histogram};
 use super::sums::{Four, VALUES, four};
-use crate::calibration::linear::{Z95, t_975};
 use crate::calibration::rounding;
+use crate::calibration::statistics::{Z95, t_975};
 use crate::raster::Image;
 
 /// Standard deviations above the median from which a site is hot: of pure noise, not one in 10^15 sites.

@@ -3,7 +3,7 @@
 use super::dark::{Dark, Known, ReadNoise};
 use super::histogram::{Centre, Histogram};
 use super::{BlackSource, IsoLevels, SiteLevels};
-use crate::calibration::linear::Z95;
+use crate::calibration::statistics::Z95;
 use crate::codec::raw::Masked;
 use crate::photometry::saturation::{self, NotBlown, Spike};
 use crate::photometry::{Cfa, Mosaic};

@@ -3,8 +3,8 @@
 use super::tiles::{PairTiles, Tile};
 use super::transfer::{self, Line, Point};
 use super::{COLOURS, PairResidual};
-use crate::calibration::linear::Z95;
 use crate::calibration::rounding;
+use crate::calibration::statistics::Z95;
 
 /// Share of the range from which tiles tell the fixed pattern.
 const PATTERN_FROM: f64 = 0.1;
