@@ -9,6 +9,7 @@
 
 use super::Verdict;
 use super::colour::{Lab, delta_e_2000};
+use super::statistics::Z95;
 use serde::{Deserialize, Serialize};
 
 /// The thesis's limit, share of the known reflectance.
@@ -16,9 +17,6 @@ pub const THESIS: f64 = 0.05;
 
 /// Ours.
 pub const OURS: f64 = 0.02;
-
-/// Standard deviations on either side of a mean that hold 95 % of a normal distribution.
-const NORMAL_95: f64 = 1.959_964;
 
 /// A patch before it is judged.
 #[derive(Clone, Debug, PartialEq)]
@@ -100,7 +98,7 @@ fn judge(error: &[f64; 3], known: &[f64; 3], deviation: Option<&[f64; 3]>, limit
     let within = |slack: &dyn Fn(usize) -> f64| (0..3).all(|c| error[c].abs() + slack(c) <= limit * known[c]);
     let passes = within(&|_| 0.0);
     let sure = deviation.map(|sd| {
-        let side = if passes { NORMAL_95 } else { -NORMAL_95 };
+        let side = if passes { Z95 } else { -Z95 };
         within(&|c| side * sd[c]) == passes
     });
     Judgement { passes, sure }

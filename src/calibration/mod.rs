@@ -11,7 +11,7 @@ mod linear;
 pub mod noise;
 mod record;
 mod rounding;
-mod statistics;
+pub(crate) mod statistics;
 mod steadiness;
 pub mod tags;
 pub mod tiles;

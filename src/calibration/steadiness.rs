@@ -2,9 +2,9 @@
 //! deviation 0.0029).
 //!
 //! Colours are combined with weights inverse to their relative variances. The flash's own deviation is the frames' less
-//! the sensor's noise, in squares. Intervals are those of a normal sample's variance, (n - 1) s^2 / chi^2, with
-//! chi-square's points by Wilson and Hilferty (PNAS 17, 1931).
+//! the sensor's noise, in squares. Intervals are those of a normal sample's variance, (n - 1) s^2 / chi^2.
 
+use super::statistics::chi_square_95;
 use serde::{Deserialize, Serialize};
 
 /// Fewer shots say nothing of a deviation: its own error is 1 / sqrt(2 (n - 1)).
@@ -106,7 +106,7 @@ pub fn steadiness(mut frames: Vec<SteadyShot>) -> Result<Steadiness, SteadyError
     let light_deviation = deviation(&light);
     let own = |whole: f64| (whole * whole - sensor * sensor).max(0.0).sqrt();
     let interval = |whole: f64| {
-        let [low, high] = chi_square(n - 1.0);
+        let [low, high] = chi_square_95(n - 1.0);
         [own(whole * ((n - 1.0) / high).sqrt()), own(whole * ((n - 1.0) / low).sqrt())]
     };
     let centre = (n - 1.0) / 2.0;
@@ -159,14 +159,6 @@ fn deviation(values: &[f64]) -> f64 {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt() / mean
-}
-
-/// 2.5 % and 97.5 % points of chi-square.
-fn chi_square(freedom: f64) -> [f64; 2] {
-    [-1.959_964, 1.959_964].map(|z| {
-        let part = 2.0 / (9.0 * freedom);
-        freedom * (1.0 - part + z * part.sqrt()).powi(3)
-    })
 }
 
 #[cfg(test)]

@@ -10,15 +10,13 @@
 use super::card::{CardShot, SeenShot, Setting, Target};
 use super::check::{check, check_target, unfit};
 use super::{CardResidual, FEWEST_CELLS, FlashCalibration, FlashFitError, MOST_RESIDUAL, USUAL_JITTER};
+use crate::calibration::statistics::Z95;
 use crate::light::Ring;
 use crate::scene::Intrinsics;
 use serde::{Deserialize, Serialize};
 
 /// How far the second render may be off the shot: the thesis's 0.02 %.
 pub(super) const AGREED: f64 = 2e-4;
-
-/// 97.5 % point of the normal distribution.
-const NORMAL: f64 = 1.959_964;
 
 /// How a calibration came out of an earlier one by a single shot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -127,7 +125,7 @@ pub fn correct_flash(
     Ok(FlashCalibration {
         radiance_dn: radiance,
         radiance_dn_interval_95: Some(std::array::from_fn(|c| {
-            [-NORMAL, NORMAL].map(|reach| radiance[c] * (reach * error[c]).exp())
+            [-Z95, Z95].map(|reach| radiance[c] * (reach * error[c]).exp())
         })),
         radiance_dn_standard_error: Some(std::array::from_fn(|c| radiance[c] * error[c])),
         target_reflectance: target.reflectance,

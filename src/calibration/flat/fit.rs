@@ -2,6 +2,7 @@
 
 use super::{FValues, FlatCalibration, FlatField, FlatFitError, KEEP, ProfilePoint, same_optics};
 use crate::calibration::linear::Normal;
+use crate::calibration::statistics::Z95;
 use crate::calibration::tiles::{EvenFrame, Tile, Tiles};
 use nalgebra::DMatrix;
 
@@ -263,7 +264,7 @@ fn told_by(
 ) -> FlatCalibration {
     let excess = excess(fit);
     let interval = |value: f64, variance: f64, more: f64| {
-        let half = 1.96 * (variance.max(0.0) * excess + more * more).sqrt();
+        let half = Z95 * (variance.max(0.0) * excess + more * more).sqrt();
         [value - half, value + half]
     };
     let corner: [f64; 3] = std::array::from_fn(|c| fit.field.at_q(1.0, c));
