@@ -2,6 +2,7 @@
 
 mod certificate;
 mod colour;
+mod files;
 mod flash;
 mod previews;
 
@@ -53,7 +54,7 @@ pub(super) fn html(told: &Told<'_>) -> Result<String, PngError> {
         Section { heading: "The flash over the session", blocks: flash::blocks(told.flash) },
         Section { heading: "Pairs", blocks: pairs(told.summary) },
         Section { heading: "What it cost", blocks: costs(told.summary) },
-        Section { heading: "How to read the files", blocks: files() },
+        Section { heading: "How to read the files", blocks: files::blocks() },
     ];
     Ok(report::html(&Report { title: &title, subtitle: &subtitle, sections }))
 }
@@ -223,33 +224,6 @@ fn pairs(summary: &ProcessSummary) -> Vec<Block> {
         blocks.push(Block::Table { head: vec!["Left out", "Why"], rows });
     }
     blocks
-}
-
-fn files() -> Vec<Block> {
-    let rows = [
-        ["model.glb", "The object with its reflectance as base colour, for any viewer; 8 bits, metres."],
-        [
-            "reflectance.exr",
-            "The texture to work with: 32-bit float, linear, row 0 at v = 1. Unseen parts are filled.",
-        ],
-        ["stddev.exr", "Its standard deviation, a channel each; 0 where views.exr is 0."],
-        [
-            "views.exr",
-            "Y: views that made up each texel. surface: 1 on the object, 0 between charts. surface 1 and Y 0: no view \
-             saw it, it was filled.",
-        ],
-        ["summary.json", "The figures above, for programs."],
-        ["certificate.json", "Known patches against the texture, where there were any."],
-    ];
-    let rows = rows.into_iter().map(|row| row.map(str::to_owned).to_vec()).collect();
-    vec![
-        Block::Table { head: vec!["File", "What it holds"], rows },
-        Block::Text(
-            "To light the object anew, use the reflectance as the colour of a matt surface and nothing else: it \
-             holds neither light nor shadow of the room."
-                .into(),
-        ),
-    ]
 }
 
 pub(in crate::pipeline) fn fact(name: &str, value: String) -> (String, String) {
