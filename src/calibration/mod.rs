@@ -23,6 +23,7 @@ pub use flash::{
 pub use levels::LevelsFit;
 pub use noise::NoiseFit;
 pub use record::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
+pub(crate) use steadiness::FEWEST_SHOTS;
 pub use steadiness::{Steadiness, SteadyError, SteadyShot, steadiness};
 
 /// Whether a value lies in an interval, given by its ends.

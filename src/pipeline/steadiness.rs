@@ -126,8 +126,7 @@ pub fn calibrate(
             light_dn,
             light_dn_standard_error,
             energy_counts,
-            relative_light: 0.0,
-            relative_light_by_energy: None,
+            ..SteadyShot::default()
         });
     }
     let found = steadiness(shots)?;

@@ -92,9 +92,9 @@ impl Page<'_> {
         let words = format!(
             "In the controller's own series of {} shots ({measured}) the known light has a standard deviation of {:.3} %, and \
              {:.3} % divided by the measured energy. No frames of it are kept.",
-            run.shots.len(),
-            100.0 * run.spread,
-            100.0 * run.corrected
+            run.frames.len(),
+            100.0 * run.light_deviation,
+            100.0 * run.light_by_energy_deviation.unwrap_or(run.light_deviation)
         );
         let pieces = repeatability(&run).into_iter().map(Piece::Block);
         if let Some(part) = self.parts.iter_mut().find(|part| part.id == STEADINESS.id) {
