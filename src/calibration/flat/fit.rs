@@ -134,12 +134,7 @@ fn geometry(tiles: &Tiles, tile: usize, colour: usize) -> ([f64; 3], [f64; 2]) {
     let reach = tiles.reach(tile);
     let middle: [f64; 2] = [0, 1].map(|a| (reach[a].0 + reach[a].1) as f64 / 2.0 - half[a]);
     let extent: [f64; 2] = [0, 1].map(|a| (reach[a].1 - reach[a].0) as f64 / 2.0);
-    // A colour's sites lie half a site beside the middle of their filter cell, unless they are on its diagonal.
-    let cells = [(0, 0), (0, 1), (1, 0), (1, 1)];
-    let own = cells.into_iter().filter(|&(y, x)| usize::from(tiles.cfa.0[y][x]) == colour);
-    let (n, sum) =
-        own.fold((0.0f64, [0.0; 2]), |(n, [a, b]), (y, x)| (n + 1.0, [a + x as f64, b + y as f64]));
-    let aside = sum.map(|s| s / n.max(1.0) - 0.5);
+    let aside = tiles.cfa.aside(colour);
     let mut powers = [0.0; 3];
     for (u, wu) in POINTS {
         for (v, wv) in POINTS {

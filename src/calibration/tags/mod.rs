@@ -140,16 +140,14 @@ impl Grey {
     /// Of a frame; `None` if its filter array has no green or it is too small.
     pub fn of(frame: &Mosaic) -> Option<Self> {
         let (width, height) = (frame.dn.width() / SITES, frame.dn.height() / SITES);
-        let places = [(0, 0), (1, 0), (0, 1), (1, 1)];
-        let green: Vec<(usize, usize)> =
-            places.into_iter().filter(|(x, y)| frame.cfa.colour(*x, *y) == 1).collect();
-        let range = |(x, y): &(usize, usize)| frame.levels.saturation[*y][*x] - frame.levels.black[*y][*x];
+        let green: Vec<(usize, usize)> = frame.cfa.positions(1).collect();
+        let range = |(y, x): &(usize, usize)| frame.levels.saturation[*y][*x] - frame.levels.black[*y][*x];
         let top = green.iter().map(range).fold(f32::INFINITY, f32::min);
         if width * height == 0 || green.is_empty() || !top.is_finite() {
             return None;
         }
         let image = Image::from_fn(width, height, |x, y| {
-            let value = |(i, j): &(usize, usize)| linear(frame, SITES * x + i, SITES * y + j).unwrap_or(top);
+            let value = |(j, i): &(usize, usize)| linear(frame, SITES * x + i, SITES * y + j).unwrap_or(top);
             [green.iter().map(value).sum::<f32>() / green.len() as f32]
         });
         Some(Self { image, ceiling: NEAR_CLIP * top })
