@@ -9,6 +9,7 @@
 
 use super::Verdict;
 use super::colour::{Lab, delta_e_2000};
+use super::statistics::Z95;
 use serde::{Deserialize, Serialize};
 
 /// The thesis's limit, share of the known reflectance.
@@ -16,9 +17,6 @@ pub const THESIS: f64 = 0.05;
 
 /// Ours.
 pub const OURS: f64 = 0.02;
-
-/// Standard deviations on either side of a mean that hold 95 % of a normal distribution.
-const NORMAL_95: f64 = 1.959_964;
 
 /// A patch before it is judged.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,7 +50,7 @@ pub struct Comparison {
     pub found_reflectance: [f64; 3],
     /// Standard deviation of that; absent where nothing tells it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub standard_deviation: Option<[f64; 3]>,
+    pub found_reflectance_standard_error: Option<[f64; 3]>,
     /// Found - known.
     pub error: [f64; 3],
     /// |found - known|.
@@ -83,7 +81,7 @@ impl Comparison {
         Self {
             known_reflectance: known,
             found_reflectance: found,
-            standard_deviation: deviation,
+            found_reflectance_standard_error: deviation,
             error,
             absolute_error: error.map(f64::abs),
             relative_error: std::array::from_fn(|c| error[c] / known[c]),
@@ -100,7 +98,7 @@ fn judge(error: &[f64; 3], known: &[f64; 3], deviation: Option<&[f64; 3]>, limit
     let within = |slack: &dyn Fn(usize) -> f64| (0..3).all(|c| error[c].abs() + slack(c) <= limit * known[c]);
     let passes = within(&|_| 0.0);
     let sure = deviation.map(|sd| {
-        let side = if passes { NORMAL_95 } else { -NORMAL_95 };
+        let side = if passes { Z95 } else { -Z95 };
         within(&|c| side * sd[c]) == passes
     });
     Judgement { passes, sure }

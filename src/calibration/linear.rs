@@ -1,59 +1,61 @@
-//! Normal equations of a few unknowns.
+//! Least squares of a few unknowns by their normal equations.
 
-/// Half width of a 95 % interval of a normal distribution in standard deviations.
-pub(super) const Z95: f64 = 1.959_964;
+use nalgebra::{DMatrix, DVector, DVectorView};
 
-/// Solves `matrix x = right` for a symmetric positive matrix by Gauss and Jordan with pivots: x and the inverse, which
-/// is the covariance where the matrix is the sum of `row row^T / variance`. `None` if the rows do not tell all unknowns.
-pub(super) fn solve(matrix: &[Vec<f64>], right: &[f64]) -> Option<(Vec<f64>, Vec<Vec<f64>>)> {
-    let n = right.len();
-    // Unknowns of very different size: each is measured by its own diagonal.
-    let scale: Vec<f64> = (0..n).map(|i| matrix[i][i].sqrt()).collect();
-    if scale.iter().any(|s| !s.is_finite() || *s <= 0.0) {
-        return None;
-    }
-    let mut rows: Vec<Vec<f64>> = (0..n)
-        .map(|i| {
-            let left = (0..n).map(|j| matrix[i][j] / (scale[i] * scale[j]));
-            left.chain((0..n).map(|j| f64::from(u8::from(i == j)))).collect()
-        })
-        .collect();
-    for column in 0..n {
-        let best = (column..n).max_by(|&a, &b| rows[a][column].abs().total_cmp(&rows[b][column].abs()))?;
-        if rows[best][column].abs() < 1e-12 {
-            return None;
-        }
-        rows.swap(column, best);
-        let pivot = rows[column][column];
-        rows[column].iter_mut().for_each(|v| *v /= pivot);
-        let own = rows[column].clone();
-        for (_, row) in rows.iter_mut().enumerate().filter(|(i, _)| *i != column) {
-            let factor = row[column];
-            row.iter_mut().zip(&own).for_each(|(v, o)| *v -= factor * o);
-        }
-    }
-    let inverse: Vec<Vec<f64>> =
-        (0..n).map(|i| (0..n).map(|j| rows[i][n + j] / (scale[i] * scale[j])).collect()).collect();
-    let solution = inverse.iter().map(|row| row.iter().zip(right).map(|(a, b)| a * b).sum()).collect();
-    Some((solution, inverse))
+/// Squares of a factor's diagonal, of 1, that are no more than rounding.
+const ROUNDING: f64 = 1e-12;
+
+/// Normal equations: sums of `weight row row^T` and of `weight value row`.
+#[derive(Clone, Debug)]
+pub(super) struct Normal {
+    pub(super) matrix: DMatrix<f64>,
+    pub(super) right: DVector<f64>,
 }
 
-/// 97.5 % quantile of Student's t with `freedom` degrees of freedom (Cornish and Fisher's expansion from 3 up;
-/// Abramowitz and Stegun 26.7.5): half width of a 95 % interval in standard errors.
-pub(super) fn t_975(freedom: usize) -> f64 {
-    match freedom {
-        0 => f64::INFINITY,
-        1 => 12.706_2,
-        2 => 4.302_65,
-        _ => {
-            let (n, z2) = (freedom as f64, Z95 * Z95);
-            let first = Z95 * (z2 + 1.0) / 4.0;
-            let second = Z95 * ((5.0 * z2 + 16.0) * z2 + 3.0) / 96.0;
-            let third = Z95 * (((3.0 * z2 + 19.0) * z2 + 17.0) * z2 - 15.0) / 384.0;
-            let fourth = Z95 * ((((79.0 * z2 + 776.0) * z2 + 1482.0) * z2 - 1920.0) * z2 - 945.0) / 92_160.0;
-            Z95 + (first + (second + (third + fourth / n) / n) / n) / n
-        }
+impl Normal {
+    pub(super) fn zero(unknowns: usize) -> Self {
+        Self { matrix: DMatrix::zeros(unknowns, unknowns), right: DVector::zeros(unknowns) }
     }
+
+    /// Of residuals and their derivatives, a column each unknown: the solution taken off the unknowns is the step of
+    /// Gauss and Newton.
+    pub(super) fn of(derivatives: &DMatrix<f64>, residuals: &DVector<f64>) -> Self {
+        Self { matrix: derivatives.tr_mul(derivatives), right: derivatives.tr_mul(residuals) }
+    }
+
+    /// Adds `row x = value`.
+    pub(super) fn add(&mut self, row: &[f64], value: f64, weight: f64) {
+        let row = DVectorView::from_slice(row, row.len());
+        self.matrix.ger(weight, &row, &row, 1.0);
+        self.right.axpy(weight * value, &row, 1.0);
+    }
+
+    /// With a diagonal that is larger by a part of itself, as Levenberg and Marquardt have it.
+    pub(super) fn damped(&self, part: f64) -> Self {
+        let mut damped = self.clone();
+        (0..damped.right.len()).for_each(|i| damped.matrix[(i, i)] *= 1.0 + part);
+        damped
+    }
+
+    /// The unknowns, and the matrix's inverse, which is their covariance where the weights are inverse variances. `None`
+    /// if the rows do not tell all unknowns.
+    pub(super) fn solve(&self) -> Option<(DVector<f64>, DMatrix<f64>)> {
+        let inverse = inverse(&self.matrix)?;
+        Some((&inverse * &self.right, inverse))
+    }
+}
+
+/// Inverse of a symmetric matrix; `None` if it is not positive definite by more than rounding.
+pub(super) fn inverse(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    // Unknowns of very different size: each is measured by its own diagonal.
+    let scale = matrix.diagonal().map(|d| d.sqrt().recip());
+    if !scale.iter().all(|s| s.is_finite()) {
+        return None;
+    }
+    let scales = &scale * scale.transpose();
+    let factors = matrix.component_mul(&scales).cholesky()?;
+    let told = factors.l_dirty().diagonal().iter().all(|d| d * d > ROUNDING);
+    told.then(|| factors.inverse().component_mul(&scales))
 }
 
 #[cfg(test)]
@@ -61,23 +63,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_small_system_is_solved_and_a_poor_one_refused() {
-        let matrix = vec![vec![4.0, 1.0, 0.0], vec![1.0, 3e6, 2.0], vec![0.0, 2.0, 1.0]];
-        let wanted = [1.0, -2.0, 0.5];
-        let right: Vec<f64> =
-            matrix.iter().map(|row| row.iter().zip(wanted).map(|(a, b)| a * b).sum()).collect();
-        let (x, inverse) = solve(&matrix, &right).unwrap();
-        assert!(x.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-9), "{x:?}");
-        let product: f64 = matrix[1].iter().zip(&inverse).map(|(a, row)| a * row[1]).sum();
-        assert!((product - 1.0).abs() < 1e-9);
-        assert!(solve(&[vec![1.0, 2.0], vec![2.0, 4.0]], &[1.0, 2.0]).is_none());
-        assert!(solve(&[vec![1.0, 0.0], vec![0.0, 0.0]], &[1.0, 2.0]).is_none());
+    fn unknowns_of_any_size_are_found_and_poor_rows_refused() {
+        let wanted = [1.0, -3e6, 0.5];
+        let mut normal = Normal::zero(3);
+        for (row, weight) in [([1e3, 2e-4, 0.0], 1.0), ([0.0, 1e-4, 4e2], 2.0), ([5e2, 0.0, 1e2], 0.5)] {
+            assert!(normal.solve().is_none());
+            normal.add(&row, row.iter().zip(wanted).map(|(a, x)| a * x).sum(), weight);
+        }
+        let (x, inverse) = normal.solve().unwrap();
+        assert!(x.iter().zip(wanted).all(|(x, w)| (x / w - 1.0).abs() < 1e-9), "{x}");
+        let one = &normal.matrix * &inverse;
+        assert!((one[(1, 1)] - 1.0).abs() < 1e-9 && (one[(2, 2)] - 1.0).abs() < 1e-9, "{one}");
+        assert!(super::inverse(&DMatrix::from_row_slice(2, 2, &[1.0, 2.0, 2.0, 4.0])).is_none());
+        assert!(super::inverse(&DMatrix::from_row_slice(2, 2, &[1.0, 0.0, 0.0, 0.0])).is_none());
+        assert!(super::inverse(&DMatrix::from_row_slice(2, 2, &[1.0, 0.0, 0.0, f64::NAN])).is_none());
     }
 
     #[test]
-    fn students_quantiles_are_those_of_the_tables() {
-        for (freedom, quantile) in [(3, 3.182), (5, 2.571), (10, 2.228), (30, 2.042), (1000, 1.962)] {
-            assert!((t_975(freedom) / quantile - 1.0).abs() < 3e-3, "{freedom}: {}", t_975(freedom));
-        }
+    fn damping_shortens_the_step_of_gauss_and_newton() {
+        let derivatives = DMatrix::from_row_slice(3, 2, &[1.0, 0.0, 0.0, 2.0, 1.0, 1.0]);
+        let residuals = &derivatives * DVector::from_column_slice(&[3.0, -1.0]);
+        let normal = Normal::of(&derivatives, &residuals);
+        let (step, _) = normal.solve().unwrap();
+        assert!((&step - DVector::from_column_slice(&[3.0, -1.0])).norm() < 1e-12, "{step}");
+        assert!(normal.damped(0.5).solve().unwrap().0.norm() < 0.8 * step.norm());
     }
 }

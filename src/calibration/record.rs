@@ -5,7 +5,7 @@ use crate::units::{FNumber, Iso, Seconds};
 use serde::{Deserialize, Serialize};
 
 /// Form of the records that this program writes; one that is higher was written by a later program.
-pub const SCHEMA: u32 = 1;
+pub const SCHEMA: u32 = 2;
 
 /// A fit with all that makes its figures traceable. In JSON the fit's own fields stand beside these.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -22,8 +22,8 @@ const MOST: usize = 96;
 const LEAST: usize = 8;
 /// Share of the range from black to saturation up to which a tile's mean is believed.
 pub const HIGHEST: f64 = 0.9;
-/// Share of clipped sites that are taken for defects.
-const STRAY: f64 = 1e-3;
+/// Share of clipped sites that are taken for defects, stuck in whatever light, and left out of means.
+pub(super) const STRAY: f64 = 1e-3;
 
 /// One colour of one tile.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -150,10 +150,7 @@ fn measure(
     let width = frame.dn.width();
     let (mut light, mut sites, mut squares, mut differences) = (0.0, 0.0, 0.0, 0.0);
     let (mut found, mut over) = (false, false);
-    for (py, px) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-        if usize::from(frame.cfa.0[py][px]) != colour {
-            continue;
-        }
+    for (py, px) in frame.cfa.positions(colour) {
         found = true;
         let (black, saturation) = (frame.levels.black[py][px], frame.levels.saturation[py][px]);
         let mut sums = Sums::default();

@@ -2,8 +2,8 @@
 
 use super::bench::NO_FLASH;
 use super::place::PlaceError;
+use crate::calibration::SteadyError;
 use crate::codec::raw::RawError;
-use crate::pair::energy::RepeatError;
 use crate::pair::finding::FindingError;
 use crate::photometry::{IsolateError, NoNoise};
 use crate::pipeline::calibrate::waiting::WaitingError;
@@ -96,7 +96,7 @@ pub enum CaptureError {
     SeriesFrames(#[from] IsolateError),
     /// The figures of a series say nothing.
     #[error(transparent)]
-    Series(#[from] RepeatError),
+    Series(#[from] SteadyError),
     /// A calibration of the session cannot be read.
     #[error(transparent)]
     Levels(RecordError),

@@ -1,5 +1,5 @@
 //! How steady the known light is: many shots of one scene with nothing changed, each with the energy that the flash
-//! controller measured of it (thesis, section 3.4; [`repeatability`] says what comes of them).
+//! controller measured of it (thesis, section 3.4; [`steadiness`] says what comes of them).
 //!
 //! Every shot is a dark frame and a lit one, proven by the controller's events as a pair's are, isolated on the sensor's
 //! sites at scale 1 and averaged over the session's region (the middle half of the frame without one), sites that clip
@@ -11,7 +11,7 @@ use super::error::CaptureError;
 use super::events::Topic;
 use super::hands::Hands;
 use super::window::{MIDDLE, mean_light, part, safe_sites};
-use crate::pair::energy::{FEWEST_SHOTS, RepeatError, RepeatShot, Repeatability, repeatability};
+use crate::calibration::{FEWEST_SHOTS, Steadiness, SteadyError, SteadyShot, steadiness};
 use crate::pair::{FlashRecord, Reason, ReasonCode, Settings, Window, proof};
 use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{Mosaic, NoiseModel, isolate};
@@ -46,7 +46,7 @@ pub struct RepeatReport {
     pub remarks: Vec<String>,
     /// What the series says.
     #[serde(flatten)]
-    pub result: Repeatability,
+    pub result: Steadiness,
 }
 
 /// A shot of the series, or why it does not count.
@@ -99,9 +99,9 @@ impl Engine {
         session: &Session,
         shots: usize,
         progress: &Progress,
-    ) -> Result<Repeatability, CaptureError> {
+    ) -> Result<Steadiness, CaptureError> {
         if shots < FEWEST_SHOTS {
-            return Err(RepeatError::TooFew(shots).into());
+            return Err(SteadyError::TooFew(shots).into());
         }
         let measured = levels::load(session).map_err(CaptureError::Levels)?;
         let window = session.manifest().region.unwrap_or(MIDDLE);
@@ -120,7 +120,7 @@ impl Engine {
         hands.disarm();
         drop(hands);
         drop(bench);
-        let result = repeatability(&taken?)?;
+        let result = steadiness(taken?)?;
         let settings = series.first.map(|first| first.settings).unwrap_or_default();
         let (taken, left_out, remarks) = (utc_now(), series.left_out, series.remarks);
         for remark in &remarks {
@@ -138,7 +138,7 @@ impl Engine {
         hands: &mut Hands,
         series: &mut Series,
         shots: usize,
-    ) -> Result<Vec<RepeatShot>, CaptureError> {
+    ) -> Result<Vec<SteadyShot>, CaptureError> {
         match hands.bench.flash()? {
             FlashKind::Controller(_) => {}
             FlashKind::Manual => return Err(CaptureError::NeedsController),
@@ -251,7 +251,7 @@ impl Series<'_> {
     }
 
     /// The figures of a shot; the reason why they do not count, if the camera was set otherwise than for the first.
-    fn reading(&mut self, number: u32, shot: &Shot) -> Result<Result<RepeatShot, Reason>, CaptureError> {
+    fn reading(&mut self, number: u32, shot: &Shot) -> Result<Result<SteadyShot, Reason>, CaptureError> {
         let exposure = |settings: &Settings| (settings.shutter, settings.aperture, settings.iso);
         let first = match &mut self.first {
             Some(first) => first,
@@ -280,10 +280,17 @@ impl Series<'_> {
             }));
         }
         let known = isolate(&shot.on, &shot.off, 1.0, &first.noise)?;
-        let (light, light_error) =
+        let (light_dn, light_dn_standard_error) =
             mean_light(&known, &first.sites).ok_or(CaptureError::SeriesClipped { shot: number })?;
-        let Shot { at, energy_counts, dark_energy_counts, .. } = *shot;
-        Ok(Ok(RepeatShot { number, at, light, light_error, energy_counts, dark_energy_counts }))
+        Ok(Ok(SteadyShot {
+            label: format!("shot {number}"),
+            at: shot.at,
+            light_dn,
+            light_dn_standard_error,
+            energy_counts: Some(shot.energy_counts),
+            dark_energy_counts: Some(shot.dark_energy_counts),
+            ..SteadyShot::default()
+        }))
     }
 }
 
@@ -294,19 +301,21 @@ fn keep(session: &Session, report: &RepeatReport) -> Result<(), CaptureError> {
     session.keep(&path, &json)?;
     let result = &report.result;
     let detail = json!({
-        "shots": result.shots.len(), "spread": result.spread, "corrected": result.corrected,
+        "shots": result.frames.len(),
+        "light_deviation": result.light_deviation,
+        "light_by_energy_deviation": result.light_by_energy_deviation,
     });
     session.record(Event::Note { what: "repeatability_measured".into(), detail })?;
     Ok(())
 }
 
 /// What a series says, in one sentence.
-pub fn words_on_repeatability(result: &Repeatability) -> String {
+pub fn words_on_repeatability(result: &Steadiness) -> String {
     let percent = |part: f64| format!("{:.3} %", 100.0 * part);
     format!(
         "Known light: standard deviation {} over {} shots; divided by the measured energy: {}.",
-        percent(result.spread),
-        result.shots.len(),
-        percent(result.corrected)
+        percent(result.light_deviation),
+        result.frames.len(),
+        result.light_by_energy_deviation.map_or_else(|| "not known".into(), percent)
     )
 }

@@ -1,6 +1,7 @@
 //! What goes over the wire about a session's flash.
 
-use crate::pair::energy::{AdviceCode, ReferenceSource, Repeatability};
+use crate::calibration::Steadiness;
+use crate::pair::energy::{AdviceCode, ReferenceSource};
 use crate::pipeline::energy::FlashAccount;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -61,16 +62,17 @@ pub(super) struct RepeatabilityBody {
     reading_noise: f64,
 }
 
-impl From<Repeatability> for RepeatabilityBody {
-    fn from(run: Repeatability) -> Self {
+impl From<Steadiness> for RepeatabilityBody {
+    fn from(run: Steadiness) -> Self {
+        let corrected = run.light_by_energy_deviation.unwrap_or(run.light_deviation);
         Self {
-            shots: run.shots.len(),
-            spread: run.spread,
-            spread_error: run.spread_error,
-            corrected: run.corrected,
-            corrected_error: run.corrected_error,
-            sensor_noise: run.sensor_noise,
-            reading_noise: run.reading_noise,
+            shots: run.frames.len(),
+            spread: run.light_deviation,
+            spread_error: run.standard_error(run.light_deviation),
+            corrected,
+            corrected_error: run.standard_error(corrected),
+            sensor_noise: run.sensor_deviation,
+            reading_noise: run.reading_deviation.unwrap_or(0.0),
         }
     }
 }

@@ -76,14 +76,16 @@ impl Draw {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ring {
     /// Inner radius, metres.
+    #[serde(rename = "inner_radius_m")]
     pub inner: f64,
     /// Outer radius, metres.
+    #[serde(rename = "outer_radius_m")]
     pub outer: f64,
     /// Where its plane lies along the axis, metres from the lens's centre of projection, towards the scene positive.
-    #[serde(default)]
+    #[serde(default, rename = "offset_m")]
     pub offset: f64,
     /// Exponent n of its lobe: radiance falls with cos^n of the emission angle; 0 shines alike in all directions.
-    #[serde(default)]
+    #[serde(default, rename = "lobe_exponent")]
     pub lobe: f64,
 }
 

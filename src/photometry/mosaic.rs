@@ -11,9 +11,27 @@ impl Cfa {
     /// Red, green / green, blue.
     pub const RGGB: Cfa = Cfa([[0, 1], [1, 2]]);
 
+    /// Filter positions, row and column.
+    pub const POSITIONS: [(usize, usize); 4] = [(0, 0), (0, 1), (1, 0), (1, 1)];
+
     /// Colour (0 = R, 1 = G, 2 = B) of the site at column `x`, row `y`.
     pub fn colour(&self, x: usize, y: usize) -> usize {
         usize::from(self.0[y & 1][x & 1])
+    }
+
+    /// Positions of a colour, row and column.
+    pub fn positions(self, colour: usize) -> impl Iterator<Item = (usize, usize)> + Clone {
+        Self::POSITIONS.into_iter().filter(move |&(row, column)| self.colour(column, row) == colour)
+    }
+
+    /// Mean place of a colour's sites from the middle of their filter cell, columns and rows: half a site aside, unless
+    /// they are on its diagonal.
+    pub fn aside(self, colour: usize) -> [f64; 2] {
+        let sites = self.positions(colour).count().max(1) as f64;
+        let mean = |of: fn((usize, usize)) -> usize| {
+            self.positions(colour).map(|position| of(position) as f64 - 0.5).sum::<f64>() / sites
+        };
+        [mean(|(_, column)| column), mean(|(row, _)| row)]
     }
 }
 
@@ -77,5 +95,18 @@ impl Mosaic {
             }
         }
         [0, 1, 2].map(|c| clipped[c] as f64 / (sites[c].max(1)) as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_colours_sites_lie_half_a_site_aside_and_those_on_a_diagonal_do_not() {
+        assert_eq!([0, 1, 2].map(|c| Cfa::RGGB.aside(c)), [[-0.5, -0.5], [0.0, 0.0], [0.5, 0.5]]);
+        let grbg = Cfa([[1, 0], [2, 1]]);
+        assert_eq!([0, 1, 2].map(|c| grbg.aside(c)), [[0.5, -0.5], [0.0, 0.0], [-0.5, 0.5]]);
+        assert_eq!(grbg.positions(1).collect::<Vec<_>>(), [(0, 0), (1, 1)]);
     }
 }

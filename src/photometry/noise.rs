@@ -1,6 +1,6 @@
 //! Sensor noise: variance = gain * signal + floor, in DN (shot noise and read noise; EMVA 1288).
 
-use crate::photometry::Mosaic;
+use crate::photometry::{Cfa, Mosaic};
 use crate::units::Iso;
 use serde::{Deserialize, Serialize};
 
@@ -11,8 +11,10 @@ const TILE: usize = 16;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseModel {
     /// Variance per DN of signal (the inverse of electrons per DN), DN.
+    #[serde(rename = "gain_dn")]
     pub gain: f32,
     /// Variance without light, DN^2.
+    #[serde(rename = "floor_dn2")]
     pub floor: f32,
 }
 
@@ -81,7 +83,7 @@ impl NoiseGauge {
 /// Mean signal and variance of each of the four filter positions of one tile.
 fn tile(frame: &Mosaic, x0: usize, y0: usize) -> Vec<(f64, f64)> {
     let mut out = vec![];
-    for (py, px) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+    for (py, px) in Cfa::POSITIONS {
         let black = f64::from(frame.levels.black[py][px]);
         let top = black + 0.9 * (f64::from(frame.levels.saturation[py][px]) - black);
         let (mut sum, mut squares, mut n, mut count) = (0.0, 0.0, 0, 0);

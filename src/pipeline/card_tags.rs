@@ -68,7 +68,8 @@ pub(super) fn sentences(sights: &[CardSight]) -> Vec<String> {
     let mut out = vec![];
     let placed: Vec<&CardSight> = sights.iter().filter(|s| s.given_distance_m.is_none()).collect();
     if let Some(first) = placed.first() {
-        let worst = placed.iter().map(|s| s.pose.distance_error_m / s.pose.distance_m).fold(0.0, f64::max);
+        let worst =
+            placed.iter().map(|s| s.pose.distance_m_standard_error / s.pose.distance_m).fold(0.0, f64::max);
         out.push(format!(
             "AprilTags of {:.1} mm told where the card stood in {} shots, distances to {:.2} % (standard error); a tag size or focal length that is 1 % wrong makes them 1 % wrong too.",
             1e3 * first.pose.tag_size_m,
@@ -95,10 +96,10 @@ pub(super) fn sentences(sights: &[CardSight]) -> Vec<String> {
                 "{label}: the tags allow another tilt as well, {:.1} degrees off the one that was used; larger tags, or one in each corner of the card, tell.",
                 normal.angle_between(pose.plane.normal).to_degrees()
             ));
-        } else if pose.normal_error_rad > VAGUE_NORMAL {
+        } else if pose.normal_rad_standard_error > VAGUE_NORMAL {
             out.push(format!(
                 "{label}: the tags tell the card's tilt to {:.1} degrees only; larger tags, or one in each corner of the card, tell it better.",
-                pose.normal_error_rad.to_degrees()
+                pose.normal_rad_standard_error.to_degrees()
             ));
         }
     }

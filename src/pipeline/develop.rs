@@ -75,7 +75,7 @@ pub fn known_light(
     gain: FlashGain,
 ) -> Result<Known, DevelopError> {
     let sites = known_sites(session, pair, calibration)?;
-    Ok(demosaic(&sites, calibration.radiance).at_reference(gain))
+    Ok(demosaic(&sites, calibration.radiance_dn).at_reference(gain))
 }
 
 /// The flash's own light of a pair on sensor sites, at whatever energy the pulse had. Of several frames without flash
@@ -173,7 +173,7 @@ pub fn lamp(
     let (gain, _) = flash_ratio(&pair.name, &pair.on.settings, calibration, scale)?;
     Ok(Lamp {
         ring: calibration.ring,
-        radiance: calibration.radiance.map(|r| r * gain),
+        radiance: calibration.radiance_dn.map(|r| r * gain),
         field: calibration.field,
     })
 }

@@ -1,8 +1,8 @@
 //! What a session knows of its flash's energy: gains for processing, the trend for whoever shoots, the repeatability
 //! run. Read from the pairs' records every time; nothing of it is stored but the run.
 
-use crate::calibration::FlashCalibration;
-use crate::pair::energy::{EnergyScale, Repeatability, Trend, trend};
+use crate::calibration::{FlashCalibration, Steadiness};
+use crate::pair::energy::{EnergyScale, Trend, trend};
 use crate::pair::{FlashRecord, PairRecord, Verdict};
 use crate::session::{Session, SessionError};
 use std::borrow::Borrow;
@@ -43,7 +43,7 @@ pub struct FlashAccount {
     /// Pulse by pulse, with advice.
     pub trend: Trend,
     /// The last repeatability run.
-    pub repeatability: Option<Repeatability>,
+    pub repeatability: Option<Steadiness>,
 }
 
 /// Everything that the session's records tell of its flash.
@@ -60,12 +60,12 @@ pub fn account(session: &Session) -> Result<FlashAccount, EnergyError> {
 pub(super) fn scale(
     pairs: &[impl Borrow<PairRecord>],
     calibration: Option<&FlashCalibration>,
-    repeatability: Option<&Repeatability>,
+    repeatability: Option<&Steadiness>,
 ) -> EnergyScale {
     let accepted = pairs.iter().map(Borrow::borrow).filter(|pair| pair.verdict == Verdict::Accepted);
     let records: Vec<&FlashRecord> = accepted.filter_map(|pair| pair.flash.as_ref()).collect();
     let reference = calibration.and_then(|fit| fit.energy_counts);
-    EnergyScale::new(records.iter().copied(), reference, repeatability.map(Repeatability::agreement))
+    EnergyScale::new(records.iter().copied(), reference, repeatability.and_then(Steadiness::agreement))
 }
 
 /// Where the last repeatability run is kept.
@@ -74,7 +74,7 @@ pub fn repeatability_file(session: &Session) -> PathBuf {
 }
 
 /// The session's last repeatability run, if there was one.
-pub fn repeatability(session: &Session) -> Result<Option<Repeatability>, EnergyError> {
+pub fn repeatability(session: &Session) -> Result<Option<Steadiness>, EnergyError> {
     let path = repeatability_file(session);
     match std::fs::read(&path) {
         Ok(bytes) => serde_json::from_slice(&bytes)

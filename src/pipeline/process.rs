@@ -1,35 +1,31 @@
 //! `process`: a session's accepted pairs to reflectance texture, deviations, view counts and model.
 
-use super::certify::CertificateError;
-use super::colour::{ColoursError, SessionColours};
+mod error;
+
+pub use error::ProcessError;
+pub(super) use error::io;
+
+use super::colour::SessionColours;
 use super::cost::Cost;
 use super::develop::{self, DevelopError};
-use super::energy::{self, EnergyError, FlashAccount};
-use super::flash::{self, FlashError};
+use super::energy::{self, FlashAccount};
 use super::manifest::{StageManifest, digest};
 use super::memory::Needs;
 use super::scale::{Ratios, SessionScale};
-use super::scene::{self, SceneError};
-use super::uvs::UvsError;
-use super::{dress, output, solve, uvs};
+use super::{dress, flash, output, scene, solve, uvs};
 use crate::calibration::FlashCalibration;
-use crate::codec::asset::AssetError;
-use crate::codec::png::PngError;
-use crate::export::glb::GlbError;
 use crate::pair::{PairRecord, Verdict};
 use crate::photometry::FlashGain;
-use crate::progress::{Cancelled, Progress};
+use crate::progress::Progress;
 use crate::reflectance::bounce::Round;
 use crate::reflectance::joint::Run;
 use crate::reflectance::range::OutOfRange;
 use crate::reflectance::robust::Lobe;
-use crate::reflectance::texture::TextureError;
-use crate::reflectance::unwrap::{UnwrapError, UvChoice, UvSource};
+use crate::reflectance::unwrap::{UvChoice, UvSource};
 use crate::scene::{Camera, Mesh, Scene};
-use crate::session::{Session, SessionError, store};
+use crate::session::{Session, store};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Largest texture side that is made.
@@ -121,110 +117,6 @@ pub struct LeftOut {
     pub name: String,
     /// Why.
     pub why: String,
-}
-
-/// Why processing stopped.
-#[derive(Debug, thiserror::Error)]
-pub enum ProcessError {
-    /// No pair can be used.
-    #[error("no pair can be processed: {0}")]
-    NoPairs(String),
-    /// A texture size that cannot be.
-    #[error("texture size {0} is not possible: give a number of texels from 16 to {LARGEST_TEXTURE}")]
-    TextureSize(usize),
-    /// More memory than the run may take.
-    #[error(
-        "a texture of {size} x {size} texels from these photos and this mesh needs {needs:.2} GB or more, but the run may take {may:.2}: give it more with --memory, or a smaller --texture-size or mesh"
-    )]
-    Memory {
-        /// Side asked for.
-        size: usize,
-        /// GB.
-        needs: f64,
-        /// GB.
-        may: f64,
-    },
-    /// More memory than there is.
-    #[error(
-        "the run takes up to {needs:.1} GB, but {free:.1} GB are free: close other programs, or give a smaller --memory or --texture-size"
-    )]
-    NotFree {
-        /// GB.
-        needs: f64,
-        /// GB.
-        free: f64,
-    },
-    /// Session.
-    #[error(transparent)]
-    Session(#[from] SessionError),
-    /// Scene.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// Calibration.
-    #[error(transparent)]
-    Flash(#[from] FlashError),
-    /// The flash's energies.
-    #[error(transparent)]
-    Energy(#[from] EnergyError),
-    /// A pair.
-    #[error(transparent)]
-    Develop(#[from] DevelopError),
-    /// Solving.
-    #[error(transparent)]
-    Texture(TextureError),
-    /// Texture coordinates.
-    #[error(transparent)]
-    Unwrap(UnwrapError),
-    /// Writing an image.
-    #[error(transparent)]
-    Asset(#[from] AssetError),
-    /// Writing the model.
-    #[error(transparent)]
-    Glb(#[from] GlbError),
-    /// A preview in the report.
-    #[error(transparent)]
-    Preview(#[from] PngError),
-    /// The camera's colours.
-    #[error(transparent)]
-    Colours(#[from] ColoursError),
-    /// The model's certificate.
-    #[error(transparent)]
-    Certificate(#[from] CertificateError),
-    /// Made texture coordinates.
-    #[error(transparent)]
-    Uvs(#[from] UvsError),
-    /// A derived file does not fit the scene.
-    #[error("{} was made from another scene: delete it and process again", .0.display())]
-    Stale(PathBuf),
-    /// The file system refused.
-    #[error("cannot write {}: {source}", path.display())]
-    Io {
-        /// File or folder.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Stopped on request.
-    #[error(transparent)]
-    Cancelled(#[from] Cancelled),
-}
-
-impl From<TextureError> for ProcessError {
-    fn from(error: TextureError) -> Self {
-        match error {
-            TextureError::Cancelled(c) => Self::Cancelled(c),
-            other => Self::Texture(other),
-        }
-    }
-}
-
-impl From<UnwrapError> for ProcessError {
-    fn from(error: UnwrapError) -> Self {
-        match error {
-            UnwrapError::Cancelled(c) => Self::Cancelled(c),
-            other => Self::Unwrap(other),
-        }
-    }
 }
 
 /// Everything that goes in, read and matched.
@@ -395,10 +287,6 @@ fn solve_and_write(
     let bytes = serde_json::to_vec_pretty(&summary).map_err(std::io::Error::other).map_err(io(&path))?;
     store::write_atomic(&path, &bytes).map_err(io(&path))?;
     Ok(summary)
-}
-
-pub(super) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> ProcessError + '_ {
-    move |source| ProcessError::Io { path: path.to_owned(), source }
 }
 
 fn no_pairs(left_out: &[LeftOut], scene: &Scene) -> String {

@@ -2,6 +2,7 @@
 
 mod certificate;
 mod colour;
+mod files;
 mod flash;
 mod previews;
 
@@ -53,7 +54,7 @@ pub(super) fn html(told: &Told<'_>) -> Result<String, PngError> {
         Section { heading: "The flash over the session", blocks: flash::blocks(told.flash) },
         Section { heading: "Pairs", blocks: pairs(told.summary) },
         Section { heading: "What it cost", blocks: costs(told.summary) },
-        Section { heading: "How to read the files", blocks: files() },
+        Section { heading: "How to read the files", blocks: files::blocks() },
     ];
     Ok(report::html(&Report { title: &title, subtitle: &subtitle, sections }))
 }
@@ -170,9 +171,9 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
     }
     facts.push(fact("Exposures scaled", told.summary.ratios.words()));
     let [a1, a2, a3] = fit.field.coefficients;
-    let radiance = match fit.radiance_error {
-        Some(error) => format!("{} DN, standard error {} DN", three(fit.radiance, 0), three(error, 0)),
-        None => format!("{} DN, not from a fit", three(fit.radiance, 0)),
+    let radiance = match fit.radiance_dn_standard_error {
+        Some(error) => format!("{} DN, standard error {} DN", three(fit.radiance_dn, 0), three(error, 0)),
+        None => format!("{} DN, not from a fit", three(fit.radiance_dn, 0)),
     };
     facts.extend([
         fact("Ring, radii", format!("{} to {} m", fit.ring.inner, fit.ring.outer)),
@@ -186,18 +187,18 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
             format!("variance = {:.4} DN \u{d7} signal + {:.2} DN\u{b2}", fit.noise.gain, fit.noise.floor),
         ),
         fact("Card", format!("reflectance taken to be {}", fit.target_reflectance)),
-        fact("Residual of the fit", percent(fit.rms)),
+        fact("Residual of the fit", percent(fit.residual_rms)),
     ]);
     let rows = fit.cards.iter().map(|shot| {
-        let used = |text: String| if shot.used { text } else { "left out".into() };
+        let used = |text: Option<String>| text.filter(|_| shot.used).unwrap_or_else(|| "left out".into());
         let measured = shot.measured_gain.map_or_else(|| "not measured".into(), |g| format!("{g:.4}"));
         vec![
             shot.label.clone(),
-            format!("{} m", shot.distance),
-            used(format!("{:.4}", shot.gain)),
-            used(measured),
-            used(percent(shot.rms)),
-            percent(shot.clipped),
+            format!("{} m", shot.distance_m),
+            used(shot.gain.map(|gain| format!("{gain:.4}"))),
+            used(Some(measured)),
+            used(shot.residual_rms.map(percent)),
+            percent(shot.clipped_share),
         ]
     });
     let head = vec!["Card shot", "Distance", "Flash, relative", "By photodiode", "Residual", "Clipped"];
@@ -223,33 +224,6 @@ fn pairs(summary: &ProcessSummary) -> Vec<Block> {
         blocks.push(Block::Table { head: vec!["Left out", "Why"], rows });
     }
     blocks
-}
-
-fn files() -> Vec<Block> {
-    let rows = [
-        ["model.glb", "The object with its reflectance as base colour, for any viewer; 8 bits, metres."],
-        [
-            "reflectance.exr",
-            "The texture to work with: 32-bit float, linear, row 0 at v = 1. Unseen parts are filled.",
-        ],
-        ["stddev.exr", "Its standard deviation, a channel each; 0 where views.exr is 0."],
-        [
-            "views.exr",
-            "Y: views that made up each texel. surface: 1 on the object, 0 between charts. surface 1 and Y 0: no view \
-             saw it, it was filled.",
-        ],
-        ["summary.json", "The figures above, for programs."],
-        ["certificate.json", "Known patches against the texture, where there were any."],
-    ];
-    let rows = rows.into_iter().map(|row| row.map(str::to_owned).to_vec()).collect();
-    vec![
-        Block::Table { head: vec!["File", "What it holds"], rows },
-        Block::Text(
-            "To light the object anew, use the reflectance as the colour of a matt surface and nothing else: it \
-             holds neither light nor shadow of the room."
-                .into(),
-        ),
-    ]
 }
 
 pub(in crate::pipeline) fn fact(name: &str, value: String) -> (String, String) {
@@ -299,8 +273,9 @@ mod tests {
         };
         let calibration = FlashCalibration {
             ring: Ring::new(0.035, 0.085).unwrap(),
-            radiance: [51_234.0, 52_345.0, 43_456.0],
-            radiance_error: None,
+            radiance_dn: [51_234.0, 52_345.0, 43_456.0],
+            radiance_dn_interval_95: None,
+            radiance_dn_standard_error: None,
             field: FieldFactor { coefficients: [-0.1234, 0.0, 0.0] },
             noise: NoiseModel { gain: 0.3125, floor: 4.5 },
             target_reflectance: 0.94,
@@ -310,18 +285,18 @@ mod tests {
             energy_counts: None,
             cards: vec![CardResidual {
                 label: "card-far.dng".into(),
-                distance: 1.4,
-                gain: 1.0,
+                distance_m: 1.4,
+                gain: Some(1.0),
                 measured_gain: None,
-                rms: 0.0021,
-                clipped: 0.0,
+                residual_rms: Some(0.0021),
+                clipped_share: 0.0,
                 used: true,
                 left_out: None,
                 prediction_error: None,
-                prediction_half: None,
+                prediction_error_interval_95: None,
                 held_out: false,
             }],
-            rms: 0.0037,
+            residual_rms: 0.0037,
             findings: Default::default(),
         };
         let summary = ProcessSummary {

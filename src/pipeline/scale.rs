@@ -190,7 +190,7 @@ mod tests {
             let step = |(label, deviation): (f64, f64)| {
                 json!({
                     "label": label, "step_thirds": 0.0, "factor": 1.0, "deviation": deviation,
-                    "deviation_95": [deviation, deviation], "shots": 1, "frame_share": 1.0, "pattern_sd": 0.0,
+                    "deviation_interval_95": [deviation, deviation], "shots": 1, "frame_share": 1.0, "pattern_sd": 0.0,
                 })
             };
             json!({
@@ -289,9 +289,9 @@ mod tests {
             serde_json::from_value(told).unwrap()
         };
         let calibration: FlashCalibration = serde_json::from_value(json!({
-            "ring": { "inner": 0.035, "outer": 0.085 }, "radiance": [1.0, 1.0, 1.0],
-            "field": { "coefficients": [0.0, 0.0, 0.0] }, "noise": { "gain": 0.3, "floor": 10.0 },
-            "target_reflectance": 0.94, "iso": 100.0, "aperture": null, "cards": [], "rms": 0.0,
+            "ring": { "inner_radius_m": 0.035, "outer_radius_m": 0.085 }, "radiance_dn": [1.0, 1.0, 1.0],
+            "field": { "coefficients": [0.0, 0.0, 0.0] }, "noise": { "gain_dn": 0.3, "floor_dn2": 10.0 },
+            "target_reflectance": 0.94, "iso": 100.0, "aperture": null, "cards": [], "residual_rms": 0.0,
         }))
         .unwrap();
         // Alike; two steps; unlike the flash calibration; a label that was not measured.

@@ -179,6 +179,6 @@ pub(super) fn remove_parts(session: &Session) -> Result<(), ProcessError> {
 
 /// Relative error of the lamp's radiance, which all texels share.
 fn scale_error(calibration: &FlashCalibration) -> [f32; 3] {
-    let error = calibration.radiance_error.unwrap_or_default();
-    std::array::from_fn(|c| (error[c] / calibration.radiance[c]) as f32)
+    let error = calibration.radiance_dn_standard_error.unwrap_or_default();
+    std::array::from_fn(|c| (error[c] / calibration.radiance_dn[c]) as f32)
 }

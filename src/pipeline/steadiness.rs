@@ -118,16 +118,15 @@ pub fn calibrate(
             Some(energy) => Some(energy),
             None => energy_beside(&file.frame)?,
         };
-        let Some((light_dn, light_error_dn)) = mean_light(frame, known) else {
+        let Some((light_dn, light_dn_standard_error)) = mean_light(frame, known) else {
             return Err(SteadinessError::Clipped { label });
         };
         shots.push(SteadyShot {
             label,
             light_dn,
-            light_error_dn,
+            light_dn_standard_error,
             energy_counts,
-            relative_light: 0.0,
-            relative_light_by_energy: None,
+            ..SteadyShot::default()
         });
     }
     let found = steadiness(shots)?;

@@ -107,7 +107,7 @@ pub(super) fn make(
         progress.report("per-view images", i, made);
         let sites = known_sites(session, pair, &inputs.calibration)?;
         let gain = summary.gains.get(&pair.name).copied().unwrap_or(inputs.gain(pair));
-        let known = demosaic(&sites, inputs.calibration.radiance).at_reference(gain);
+        let known = demosaic(&sites, inputs.calibration.radiance_dn).at_reference(gain);
         let lamp = lamp(pair, &inputs.calibration, &inputs.scale)?;
         let light = stage.illuminate(camera, &lamp);
         let bounced = simulate(&transport, &stage.direct(&light), lamp.radiance, &sent, progress)?;

@@ -70,8 +70,12 @@ fn three_ladders_of_raws_give_every_deviation_within_three_per_mille() {
             let expected = (1.0 + truth["deviation"].as_f64().unwrap()) / (1.0 + zero) - 1.0;
             let error = step["deviation"].as_f64().unwrap() - expected;
             worst = worst.max(error.abs());
-            let ends: Vec<f64> =
-                step["deviation_95"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
+            let ends: Vec<f64> = step["deviation_interval_95"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|v| v.as_f64().unwrap())
+                .collect();
             // The whole frame, added up here anew: nothing hangs on which part of it is measured.
             if step["frame_share"] == 1.0 {
                 let ratio = light(setting, number(&step["step_thirds"])) / light(setting, 0);

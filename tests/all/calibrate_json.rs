@@ -86,7 +86,7 @@ fn every_calibration_prints_its_record_alone_with_names_that_say_quantity_and_un
     }
 
     let flat = all("flat", birdbath((0..9).map(|k| format!("linearity/{k:02}_0.dng"))));
-    number(&flat["corner"][1], "value");
+    assert_eq!(flat["corner"].as_array().unwrap().len(), 3);
 
     let mut cards: Vec<String> =
         ["--ring-radii", "0.035,0.085", "--focal-px", "758.3333333", "--shots"].map(String::from).into();
@@ -94,7 +94,7 @@ fn every_calibration_prints_its_record_alone_with_names_that_say_quantity_and_un
         cards.extend(birdbath([format!("white/{stem}_0.dng")]).into_iter().map(|f| format!("{metres}={f}")));
     }
     let flash = all("flash", cards);
-    assert_eq!(flash["radiance"].as_array().unwrap().len(), 3);
+    assert_eq!(flash["radiance_dn"].as_array().unwrap().len(), 3);
 
     let mut frames = vec!["--frames".to_owned()];
     frames.extend(birdbath((0..12).map(|k| format!("repeat/{k:02}.dng"))));

@@ -47,7 +47,7 @@ fn black_and_saturation_of_the_bird_baths_camera_are_exact_and_what_never_clips_
         println!("{site}");
         let of = |name: &str| site[name].as_f64().unwrap();
         let black = of("black_dn") - sensor["black_dn"].as_f64().unwrap();
-        assert!(black.abs() < 0.03 && black.abs() < 4.0 * of("black_error_dn"), "{site}");
+        assert!(black.abs() < 0.03 && black.abs() < 4.0 * of("black_dn_standard_error"), "{site}");
         let read = of("read_noise_dn") * sensor["electrons_per_dn"].as_f64().unwrap();
         assert!((read / sensor["read_noise_e"].as_f64().unwrap() - 1.0).abs() < 0.08, "{site}");
         if site["colour"] == "green" {

@@ -158,7 +158,7 @@ fn tags_in_place_of_distances_give_the_same_flash_and_wrong_distances_are_told()
     let by_tags = record(calibrate(folder.path(), "tags", &files, &size));
     println!("{by_tags:#}");
     for c in 0..3 {
-        let [ruler, tags] = [&by_ruler, &by_tags].map(|r| r["radiance"][c].as_f64().unwrap());
+        let [ruler, tags] = [&by_ruler, &by_tags].map(|r| r["radiance_dn"][c].as_f64().unwrap());
         println!("radiance {tags} by tags, {ruler} by planes, truth {}", RADIANCE[c]);
         assert!((tags / ruler - 1.0).abs() < 0.002);
         assert!((ruler / RADIANCE[c] - 1.0).abs() < 0.002, "black of the tags is in the cells");

@@ -226,7 +226,7 @@ fn the_certificate_is_right(certificate: &Value, given: usize) {
                 continue;
             }
             errors.push(error);
-            if let Some(deviation) = of("standard_deviation", c) {
+            if let Some(deviation) = of("found_reflectance_standard_error", c) {
                 told += 1_u32;
                 inside += usize::from(error.abs() <= 1.96 * deviation);
             }

@@ -67,15 +67,15 @@ fn codes(pair: &PairRecord) -> Vec<ReasonCode> {
 
 fn calibration() -> FlashCalibration {
     serde_json::from_value(json!({
-        "ring": { "inner": 0.035, "outer": 0.085 },
-        "radiance": [1.0, 1.0, 1.0],
+        "ring": { "inner_radius_m": 0.035, "outer_radius_m": 0.085 },
+        "radiance_dn": [1.0, 1.0, 1.0],
         "field": { "coefficients": [0.0, 0.0, 0.0] },
-        "noise": { "gain": 0.3, "floor": 10.0 },
+        "noise": { "gain_dn": 0.3, "floor_dn2": 10.0 },
         "target_reflectance": 0.94,
         "iso": 100.0,
         "aperture": 11.0,
         "cards": [],
-        "rms": 0.0,
+        "residual_rms": 0.0,
     }))
     .unwrap()
 }

@@ -96,8 +96,9 @@ impl House {
     fn known(&self, pair: &PairRecord) -> KnownMosaic {
         let calibration = FlashCalibration {
             ring: Ring::new(0.03, 0.08).unwrap(),
-            radiance: [1.0; 3],
-            radiance_error: None,
+            radiance_dn: [1.0; 3],
+            radiance_dn_interval_95: None,
+            radiance_dn_standard_error: None,
             field: FieldFactor { coefficients: [0.0; 3] },
             noise: NOISE,
             target_reflectance: 0.9,
@@ -106,7 +107,7 @@ impl House {
             focal_length_mm: None,
             energy_counts: None,
             cards: vec![],
-            rms: 0.0,
+            residual_rms: 0.0,
             findings: Default::default(),
         };
         known_sites(&self.session, pair, &calibration).unwrap()

@@ -118,7 +118,7 @@ fn autofocus_refuses_pairs_until_the_switch_is_moved() {
 fn a_search_by_the_exposure_table_of_another_body_is_refused_and_leaves_the_plan() {
     let house = House::with(&BodyOptions::default());
     let table = json!({
-        "schema": 1, "measured": "2026-11-23T10:00:00Z", "software": "unlit", "rig": { "model": "Fake 2" },
+        "schema": unlit::calibration::SCHEMA, "measured": "2026-11-23T10:00:00Z", "software": "unlit", "rig": { "model": "Fake 2" },
         "shots": [], "verdict": { "good": true, "sentences": [] }, "ladders": [],
     });
     let path = house.session.path().join("calibration/exposure.json");

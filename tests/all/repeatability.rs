@@ -5,9 +5,9 @@ use crate::camera::{program, rig};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
+use unlit::calibration::Steadiness;
 use unlit::capture::{Engine, Events, RepeatReport};
 use unlit::pair::Limits;
-use unlit::pair::energy::Repeatability;
 use unlit::pipeline::energy::repeatability_file;
 use unlit::progress::Progress;
 use unlit::session::Session;
@@ -59,25 +59,30 @@ fn forty_shots_spread_as_the_flash_does_and_far_less_divided_by_the_measured_ene
     let seed: u64 = std::env::var("UNLIT_SEED").ok().and_then(|s| s.parse().ok()).unwrap_or(1);
     let house = House::new(seed);
     let began = Instant::now();
-    let result: Repeatability = house.engine.repeatability(&house.session, 40, &Progress::silent()).unwrap();
+    let result: Steadiness = house.engine.repeatability(&house.session, 40, &Progress::silent()).unwrap();
     let took = began.elapsed();
     let energies = house.energies();
     let given = relative_deviation(&energies);
+    let by_energy = result.light_by_energy_deviation.unwrap();
     println!(
         "seed {seed}: the flash gave {:.4} %; reported {:.4} % before and {:.4} % after division by the measured energy \
-         (sensor noise {:.4} %, measured energies {:.4} %); {took:.1?}",
+         (sensor noise {:.4} %); {took:.1?}",
         100.0 * given,
-        100.0 * result.spread,
-        100.0 * result.corrected,
-        100.0 * result.sensor_noise,
-        100.0 * result.energy_spread,
+        100.0 * result.light_deviation,
+        100.0 * by_energy,
+        100.0 * result.sensor_deviation,
     );
-    assert_eq!((energies.len(), result.shots.len()), (40, 40));
+    assert_eq!((energies.len(), result.frames.len()), (40, 40));
     assert!(house.board.rises().iter().all(|rise| rise.ordered));
-    assert!((result.spread / given - 1.0).abs() < 0.03, "{} reported for {given}", result.spread);
-    assert!(result.corrected < 0.0008, "{}", result.corrected);
+    assert!(
+        (result.light_deviation / given - 1.0).abs() < 0.03,
+        "{} reported for {given}",
+        result.light_deviation
+    );
+    assert!(by_energy < 0.0008, "{by_energy}");
     // Shot by shot, the light is what the flash gave.
-    let ratios: Vec<f64> = result.shots.iter().zip(&energies).map(|(shot, e)| shot.light[1] / e).collect();
+    let ratios: Vec<f64> =
+        result.frames.iter().zip(&energies).map(|(shot, e)| shot.light_dn[1] / e).collect();
     assert!(relative_deviation(&ratios) < 0.0005, "{ratios:?}");
 
     let report = house.report();
@@ -85,8 +90,8 @@ fn forty_shots_spread_as_the_flash_does_and_far_less_divided_by_the_measured_ene
     let text = std::fs::read_to_string(repeatability_file(&house.session)).unwrap();
     let stored: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(
-        (stored["spread"].as_f64(), stored["corrected"].as_f64()),
-        (Some(result.spread), Some(result.corrected))
+        (stored["light_deviation"].as_f64(), stored["light_by_energy_deviation"].as_f64()),
+        (Some(result.light_deviation), Some(by_energy))
     );
     assert!(house.session.pairs().unwrap().is_empty(), "shots of a series are no pairs");
 }
@@ -96,7 +101,7 @@ fn a_shot_that_misfires_is_told_left_out_and_taken_again_and_a_dead_flash_ends_t
     let house = House::new(5);
     house.board.misfire(2);
     let result = house.engine.repeatability(&house.session, 8, &Progress::silent()).unwrap();
-    assert_eq!((result.shots.len(), house.report().left_out), (8, 2));
+    assert_eq!((result.frames.len(), house.report().left_out), (8, 2));
     assert_eq!(house.energies().len(), 8);
 
     house.board.misfire(u32::MAX);
@@ -118,6 +123,10 @@ fn a_series_survives_a_controller_that_loses_its_power_for_a_moment() {
         }
     });
     let result = house.engine.repeatability(&house.session, 8, &progress).unwrap();
-    assert_eq!(result.shots.iter().map(|shot| shot.number).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6, 7, 8]);
+    let numbers: Vec<String> = (1..=8).map(|number| format!("shot {number}")).collect();
+    assert_eq!(
+        result.frames.iter().map(|shot| &shot.label).collect::<Vec<_>>(),
+        numbers.iter().collect::<Vec<_>>()
+    );
     assert!(house.board.rises().iter().all(|rise| rise.ordered));
 }

@@ -86,14 +86,14 @@ export function keyFigures(kind: Kind, record: CalibrationRecord): [string, stri
       break;
     case "flat":
       for (const [i, colour] of ["red", "green", "blue"].entries()) {
-        put(`${colour}: corner against centre`, record.corner?.[i]?.value, (v) => percent(v, 2));
+        put(`${colour}: corner against centre`, record.corner?.[i], (v) => percent(v, 2));
       }
       break;
     case "flash":
       for (const [i, colour] of ["red", "green", "blue"].entries()) {
-        put(`${colour}: radiance`, record.radiance?.[i], (v) => `${fixed(v, 0)} DN`);
+        put(`${colour}: radiance`, record.radiance_dn?.[i], (v) => `${fixed(v, 0)} DN`);
       }
-      put("residual", record.rms, (v) => percent(v, 2));
+      put("residual", record.residual_rms, (v) => percent(v, 2));
       break;
     case "colour":
       put("CIEDE2000, mean", record.fit?.mean, (v) => fixed(v, 2));

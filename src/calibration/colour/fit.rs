@@ -13,8 +13,9 @@
 //! places.
 
 use super::cielab::{D50, Lab, Lightness, difference, lab, xyz};
-use super::linear::{dot, inverse, times};
+use crate::calibration::linear::{Normal, inverse};
 use glam::{DMat3, DVec2, DVec3};
+use nalgebra::{DMatrix, DVector};
 
 /// Numbers of the matrix.
 const MATRIX: usize = 9;
@@ -84,20 +85,15 @@ pub(super) fn solve(samples: &[Sample], uneven: bool) -> Option<Solution> {
     let mut residual = residuals(&scaled, &state);
     let mut damping = 1e-3f64;
     for _ in 0..60 {
-        let jacobian = jacobian(&scaled, &state, &residual, count);
-        let normal: Vec<Vec<f64>> =
-            jacobian.iter().map(|a| jacobian.iter().map(|b| dot(a, b)).collect()).collect();
-        let slope = times(&jacobian, &residual);
-        let before = dot(&residual, &residual);
+        let normal = Normal::of(&jacobian(&scaled, &state, &residual, count), &residual);
+        let before = residual.norm_squared();
         let mut gained = 0.0;
         for _ in 0..12 {
-            let mut damped = normal.clone();
-            (0..count).for_each(|k| damped[k][k] *= 1.0 + damping);
-            let Some(step) = inverse(&damped).map(|m| times(&m, &slope)) else { break };
+            let Some((step, _)) = normal.damped(damping).solve() else { break };
             let mut next = state.clone();
             next.iter_mut().zip(&step).for_each(|(v, s)| *v -= s);
             let there = residuals(&scaled, &next);
-            let cost = dot(&there, &there);
+            let cost = there.norm_squared();
             if cost < before {
                 (state, residual, gained) = (next, there, before - cost);
                 damping = (0.2 * damping).max(1e-12);
@@ -125,22 +121,17 @@ pub(super) fn solve(samples: &[Sample], uneven: bool) -> Option<Solution> {
 /// common variance would tell the errors wrong; each patch's own three residuals stand for theirs (White,
 /// "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48(4), 1980, by patches), with
 /// patches over spare patches for the numbers that were fitted.
-fn errors(jacobian: &[Vec<f64>], residual: &[f64]) -> Option<Vec<f64>> {
-    let (count, patches) = (jacobian.len(), residual.len() / 3);
-    let normal: Vec<Vec<f64>> =
-        jacobian.iter().map(|a| jacobian.iter().map(|b| dot(a, b)).collect()).collect();
-    let inverse = inverse(&normal)?;
-    let mut squares = vec![0.0; count];
+fn errors(jacobian: &DMatrix<f64>, residual: &DVector<f64>) -> Option<DVector<f64>> {
+    let (count, patches) = (jacobian.ncols(), residual.len() / 3);
+    let inverse = inverse(&jacobian.tr_mul(jacobian))?;
+    let mut squares = DVector::zeros(count);
     for patch in 0..patches {
-        let own = 3 * patch..3 * patch + 3;
-        let slope: Vec<f64> =
-            jacobian.iter().map(|row| dot(&row[own.clone()], &residual[own.clone()])).collect();
-        let share = times(&inverse, &slope);
-        squares.iter_mut().zip(share).for_each(|(s, v)| *s += v * v);
+        let share = &inverse * jacobian.rows(3 * patch, 3).tr_mul(&residual.rows(3 * patch, 3));
+        squares += share.component_mul(&share);
     }
     let n = patches as f64;
     let scale = n / (n - count as f64 / 3.0);
-    Some(squares.into_iter().map(|s| (s * scale).sqrt()).collect())
+    Some(squares.map(|s| (s * scale).sqrt()))
 }
 
 fn parts(state: &[f64]) -> (DMat3, DVec2) {
@@ -148,23 +139,23 @@ fn parts(state: &[f64]) -> (DMat3, DVec2) {
 }
 
 /// Three a patch, whose squares add up to that of CIEDE2000.
-fn residuals(samples: &[Sample], state: &[f64]) -> Vec<f64> {
+fn residuals(samples: &[Sample], state: &[f64]) -> DVector<f64> {
     let (xyz_from_rgb, gradient) = parts(state);
     let solution = Solution { xyz_from_rgb, gradient, gradient_error: DVec2::ZERO };
     let one = |s: &Sample| difference(s.reference, solution.lab(s), Lightness::Weighted).to_array();
-    samples.iter().flat_map(one).collect()
+    DVector::from_iterator(3 * samples.len(), samples.iter().flat_map(one))
 }
 
-/// One row a number: how all residuals change with it. XYZ is linear in the matrix, so that three steps a patch, one
+/// One column a number: how all residuals change with it. XYZ is linear in the matrix, so that three steps a patch, one
 /// along each axis of XYZ, tell all.
-fn jacobian(samples: &[Sample], state: &[f64], residual: &[f64], count: usize) -> Vec<Vec<f64>> {
+fn jacobian(samples: &[Sample], state: &[f64], residual: &DVector<f64>, count: usize) -> DMatrix<f64> {
     const STEP: f64 = 1e-6;
     let (matrix, gradient) = parts(state);
-    let mut rows = vec![vec![0.0; residual.len()]; count];
+    let mut columns = DMatrix::zeros(residual.len(), count);
     for (k, s) in samples.iter().enumerate() {
         let light = 1.0 + gradient.dot(s.place);
         let (rgb, at) = (s.rgb / light, matrix * s.rgb / light);
-        let here = DVec3::from_slice(&residual[3 * k..]);
+        let here = DVec3::from_slice(&residual.as_slice()[3 * k..]);
         let there = |axis: DVec3| difference(s.reference, lab(at + STEP * axis), Lightness::Weighted);
         let by_xyz = DMat3::from_cols(
             (there(DVec3::X) - here) / STEP,
@@ -176,11 +167,11 @@ fn jacobian(samples: &[Sample], state: &[f64], residual: &[f64], count: usize) -
             None => by_xyz.col(number % 3) * rgb[number / 3],
             Some(axis) => by_xyz * at * (-s.place[axis] / light),
         };
-        for (number, row) in rows.iter_mut().enumerate() {
-            row[3 * k..3 * k + 3].copy_from_slice(&change(number).to_array());
+        for (number, mut column) in columns.column_iter_mut().enumerate() {
+            column.rows_mut(3 * k, 3).copy_from_slice(&change(number).to_array());
         }
     }
-    rows
+    columns
 }
 
 /// Camera RGB of a perfect white under the chart's light, in the samples' unit; `None` unless it is light in all
@@ -275,12 +266,12 @@ pub(super) mod tests {
         let (matrix, gradient) = (camera(&mut rng).inverse(), DVec2::new(0.02, 0.03));
         let state: Vec<f64> = matrix.to_cols_array().into_iter().chain(gradient.to_array()).collect();
         let here = residuals(&samples, &state);
-        for (number, row) in jacobian(&samples, &state, &here, state.len()).iter().enumerate() {
+        for (number, column) in jacobian(&samples, &state, &here, state.len()).column_iter().enumerate() {
             let mut moved = state.clone();
             moved[number] += 1e-6;
             let there = residuals(&samples, &moved);
-            let size = row.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
-            for (k, told) in row.iter().enumerate() {
+            let size = column.amax();
+            for (k, told) in column.iter().enumerate() {
                 let found = (there[k] - here[k]) / 1e-6;
                 assert!((told - found).abs() < 1e-3 * size, "{number} {k}: {told} for {found}");
             }

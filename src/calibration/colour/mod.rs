@@ -9,7 +9,6 @@ mod cielab;
 mod find;
 mod fit;
 mod lattice;
-mod linear;
 mod overlay;
 mod plane;
 mod regions;
@@ -80,7 +79,7 @@ pub struct Patch {
     /// Mean over its middle, R, G, B, DN above black.
     pub rgb_dn: [f64; 3],
     /// Standard error of that, DN.
-    pub rgb_error_dn: [f64; 3],
+    pub rgb_dn_standard_error: [f64; 3],
     /// Share of clipped sites, 0 to 1.
     pub clipped_share: f64,
     /// Published L*, a*, b* under D50.
@@ -103,11 +102,11 @@ pub struct Evenness {
     /// Relative change from the chart's middle to its last column; the first column's is the negative.
     pub across: f64,
     /// Standard error of that.
-    pub across_error: f64,
+    pub across_standard_error: f64,
     /// Relative change from the chart's middle to its last row.
     pub down: f64,
     /// Standard error of that.
-    pub down_error: f64,
+    pub down_standard_error: f64,
     /// Whether the matrix was fitted with the gradient taken out: it was told, and patches left out were predicted
     /// better with it.
     pub taken_out: bool,
@@ -197,7 +196,7 @@ pub fn fit_colour(
             Patch {
                 name: kind.patches()[k].0.to_owned(),
                 rgb_dn: reading.rgb_dn,
-                rgb_error_dn: reading.error_dn,
+                rgb_dn_standard_error: reading.error_dn,
                 clipped_share: reading.clipped_share,
                 reference_lab: all[k].reference,
                 lab: measured,
@@ -220,9 +219,9 @@ pub fn fit_colour(
         fit_even: summary(&pairs(&even)),
         evenness: Evenness {
             across: uneven.gradient.x,
-            across_error: uneven.gradient_error.x,
+            across_standard_error: uneven.gradient_error.x,
             down: uneven.gradient.y,
-            down_error: uneven.gradient_error.y,
+            down_standard_error: uneven.gradient_error.y,
             taken_out,
             leave_one_out_mean_even: even_mean,
             leave_one_out_mean_uneven: uneven_mean,
@@ -308,8 +307,9 @@ impl ColourFit {
 impl Evenness {
     fn words(&self) -> String {
         let percent = |v: f64, e: f64| format!("{:+.1} % (standard error {:.1} %)", 100.0 * v, 100.0 * e);
-        let (across, down) = (percent(self.across, self.across_error), percent(self.down, self.down_error));
-        if self.across_error.max(self.down_error) > UNTOLD {
+        let (across, down) =
+            (percent(self.across, self.across_standard_error), percent(self.down, self.down_standard_error));
+        if self.across_standard_error.max(self.down_standard_error) > UNTOLD {
             return format!(
                 "How even the light was cannot be told: from the middle to the edges it may change by {across} across and {down} down; shoot an even grey card in the chart's place to know."
             );

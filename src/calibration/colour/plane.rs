@@ -4,7 +4,7 @@
 //! transformation with the last element set to 1, normalised points as in 4.4.4).
 
 use super::charts::{COLUMNS, ROWS};
-use super::linear::{inverse, times};
+use crate::calibration::linear::Normal;
 use glam::{DMat3, DVec2};
 
 /// Side of a patch over the distance between the centres of two; 0.81 (Mini) to 0.87 (Classic).
@@ -64,21 +64,16 @@ pub(super) fn homography(pairs: &[(DVec2, DVec2)]) -> Option<DMat3> {
         return None;
     }
     let (from, to) = (normaliser(pairs.iter().map(|p| p.0))?, normaliser(pairs.iter().map(|p| p.1))?);
-    let (mut a, mut b) = (vec![vec![0.0; 8]; 8], vec![0.0; 8]);
+    let mut normal = Normal::zero(8);
     for &(p, q) in pairs {
         let (p, q) = (from.transform_point2(p), to.transform_point2(q));
         let rows = [
             ([p.x, p.y, 1.0, 0.0, 0.0, 0.0, -p.x * q.x, -p.y * q.x], q.x),
             ([0.0, 0.0, 0.0, p.x, p.y, 1.0, -p.x * q.y, -p.y * q.y], q.y),
         ];
-        for (row, value) in rows {
-            for i in 0..8 {
-                b[i] += row[i] * value;
-                (0..8).for_each(|j| a[i][j] += row[i] * row[j]);
-            }
-        }
+        rows.iter().for_each(|(row, value)| normal.add(row, *value, 1.0));
     }
-    let h = times(&inverse(&a)?, &b);
+    let (h, _) = normal.solve()?;
     let unit = DMat3::from_cols_array(&[h[0], h[3], h[6], h[1], h[4], h[7], h[2], h[5], 1.0]);
     let found = to.inverse() * unit * from;
     let before = |p: DVec2| (found * p.extend(1.0)).z / found.z_axis.z > 0.0;

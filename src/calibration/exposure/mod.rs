@@ -31,7 +31,7 @@ pub use ladder::Setting;
 pub use table::{ExposureTable, ScaleSource};
 pub use words::verdict;
 
-use super::linear::t_975;
+use super::statistics::{Z95, t_975};
 use super::tiles::{EvenFrame, Tiles};
 use crate::pair::Settings;
 use serde::{Deserialize, Serialize};
@@ -41,8 +41,6 @@ use std::collections::{BTreeMap, BTreeSet};
 const LEAST_FRAME: f64 = 0.02;
 /// Largest relative standard error of a shot's light for it to count.
 const MOST_ERROR: f64 = 0.01;
-/// 97.5 % quantile of the normal distribution.
-const Z: f64 = 1.959_964;
 
 /// The thesis's table 3.2: its camera against the ideal. Mean, max, min, SD by setting, in the order of
 /// [`Setting::ALL`]. Its max and min are magnitudes (its means lie below its minima).
@@ -77,7 +75,7 @@ pub struct Step {
     /// Measured factor over the ideal one, less 1. Exactly 0 at step 00.
     pub deviation: f64,
     /// 95 % interval of the deviation.
-    pub deviation_95: [f64; 2],
+    pub deviation_interval_95: [f64; 2],
     /// Shots that it is the mean of.
     pub shots: usize,
     /// Which they are: places in the order given, from 0.
@@ -301,20 +299,20 @@ fn measure(found: &ladder::Found, shots: &[EvenFrame]) -> Option<Ladder> {
 
 fn steps_of(raw: &[Raw], scatter: Option<f64>, freedom: usize) -> Vec<Step> {
     let Some(base) = raw.first() else { return vec![] };
-    let t = t_975(freedom.max(1));
+    let t = t_975(freedom.max(1) as f64);
     let step = |own: &Raw| {
         let stops = own.stops - base.stops;
         let ratio = own.factor / stops.exp2();
         let count = 1.0 / own.shots.len() as f64 + 1.0 / base.shots.len() as f64;
         let first = stops == 0.0;
         let repeat = if first { 0.0 } else { scatter.unwrap_or(0.0) * count };
-        let half = ratio * (Z * Z * own.noise + t * t * repeat).sqrt();
+        let half = ratio * (Z95 * Z95 * own.noise + t * t * repeat).sqrt();
         Step {
             label: own.label,
             step_thirds: (3e6 * stops).round() / 1e6,
             factor: own.factor,
             deviation: ratio - 1.0,
-            deviation_95: [ratio - 1.0 - half, ratio - 1.0 + half],
+            deviation_interval_95: [ratio - 1.0 - half, ratio - 1.0 + half],
             shots: own.shots.len(),
             shot_numbers: own.shots.clone(),
             frame_share: own.frame_share,

@@ -86,7 +86,7 @@ fn a_thousand_random_ladders_come_back_inside_their_intervals() {
         let used = left_out.iter().filter(|why| why.is_none()).count();
         assert_eq!(fit.ladders[0].steps.len(), used);
         for (step, truth) in fit.ladders[0].steps.iter().zip(truth).skip(1) {
-            let [low, high] = step.deviation_95;
+            let [low, high] = step.deviation_interval_95;
             inside += u32::from(low <= truth && truth <= high);
             all += 1;
             assert!((step.deviation - truth).abs() < 0.02, "{step:?}, not {truth}");
@@ -108,7 +108,7 @@ fn scatter_between_repeats_is_in_the_interval_if_it_was_shot() {
         sd += ladder.repeat_sd.unwrap().powi(2) / 300.0;
         for (step, truth) in ladder.steps.iter().zip(truth).skip(1) {
             assert_eq!(step.shots, 3);
-            let [low, high] = step.deviation_95;
+            let [low, high] = step.deviation_interval_95;
             inside += u32::from(low <= truth && truth <= high);
             all += 1;
         }
@@ -136,7 +136,7 @@ fn without_noise_the_figures_are_those_of_the_table_by_hand() {
         assert!((step.deviation - truth).abs() < 1e-12);
     }
     assert_eq!(ladder.steps[3].step_thirds, 3.0);
-    assert_eq!(ladder.steps[0].deviation_95, [0.0; 2]);
+    assert_eq!(ladder.steps[0].deviation_interval_95, [0.0; 2]);
     let Summary { mean, max, min, sd } = ladder.summary;
     assert!((mean - 0.0).abs() < 1e-12 && (max - 0.03).abs() < 1e-12 && (min - 0.01).abs() < 1e-12);
     assert!((sd - (0.0014f64 / 2.0).sqrt()).abs() < 1e-12, "{sd}");

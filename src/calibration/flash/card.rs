@@ -1,6 +1,7 @@
 //! Shots of the card, each reduced to means over small cells as soon as it is read.
 
 use super::FieldFactor;
+use crate::calibration::tiles::STRAY;
 use crate::light::Ring;
 use crate::photometry::{Cfa, IsolateError, Mosaic, NoiseModel, linear};
 use crate::scene::{Camera, Intrinsics};
@@ -18,6 +19,7 @@ const LEAST_EDGE: usize = 8;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plane {
     /// A point of it, metres.
+    #[serde(rename = "point_m")]
     pub point: DVec3,
     /// Its unit normal, towards the camera.
     pub normal: DVec3,
@@ -154,9 +156,6 @@ impl CardShot {
     }
 }
 
-/// Share of a cell's sites that may be clipped, stuck ones at whatever light: they are left out of its means.
-const STRAY: f64 = 1e-3;
-
 /// One cell; `None` if more of it is clipped than stray sites are.
 fn cell(on: &Mosaic, off: Option<(&Mosaic, f64)>, first: (usize, usize), edge: usize) -> Option<Cell> {
     let (mut value, mut signal, mut sites) = ([0.0; 3], [0.0; 3], [0.0f64; 3]);
@@ -235,7 +234,7 @@ impl Setting<'_> {
         // Four points of equal weight have a square's mean to the third order.
         let reach = shot.edge as f64 / 12f64.sqrt();
         let corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)];
-        let shifts: [DVec2; 3] = std::array::from_fn(|c| shift(shot.cfa, c));
+        let shifts: [DVec2; 3] = std::array::from_fn(|c| shot.cfa.aside(c).into());
         let seen = |cell: &Cell| {
             let (point, target, light) = look(cell.centre)?;
             let (mut value, mut variance) = (cell.value, [0.0; 3]);
@@ -257,17 +256,6 @@ impl Setting<'_> {
         let cells = shot.cells.iter().filter_map(seen).collect();
         SeenShot { cells, normal, distance: shot.plane.distance(), energy }
     }
-}
-
-/// Mean place of a colour's sites in a cell from its centre, pixels.
-fn shift(cfa: Cfa, colour: usize) -> DVec2 {
-    let places = [(0, 0), (1, 0), (0, 1), (1, 1)];
-    let own: Vec<DVec2> = places
-        .into_iter()
-        .filter(|(x, y)| cfa.colour(*x, *y) == colour)
-        .map(|(x, y)| DVec2::new(x as f64, y as f64) - 0.5)
-        .collect();
-    own.iter().copied().sum::<DVec2>() / own.len().max(1) as f64
 }
 
 impl FieldFactor {

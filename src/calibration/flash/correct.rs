@@ -9,18 +9,14 @@
 
 use super::card::{CardShot, SeenShot, Setting, Target};
 use super::check::{check, check_target, unfit};
-use super::{
-    CardResidual, FEWEST_CELLS, FlashCalibration, FlashFitError, Interval, MOST_RESIDUAL, USUAL_JITTER,
-};
+use super::{CardResidual, FEWEST_CELLS, FlashCalibration, FlashFitError, MOST_RESIDUAL, USUAL_JITTER};
+use crate::calibration::statistics::Z95;
 use crate::light::Ring;
 use crate::scene::Intrinsics;
 use serde::{Deserialize, Serialize};
 
 /// How far the second render may be off the shot: the thesis's 0.02 %.
 pub(super) const AGREED: f64 = 2e-4;
-
-/// 97.5 % point of the normal distribution.
-const NORMAL: f64 = 1.959_964;
 
 /// How a calibration came out of an earlier one by a single shot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,7 +52,7 @@ pub fn correct_flash(
     if seen.cells.len() < FEWEST_CELLS {
         return Err(nothing("too little of it lies on the card".into()));
     }
-    let first = base.radiance.map(|r| r * light_ratio);
+    let first = base.radiance_dn.map(|r| r * light_ratio);
     let render = |radiance: [f64; 3], light: &dyn Fn(&Ring, &SeenShot, usize) -> f64| -> Vec<[f64; 3]> {
         let of = |(i, cell): (usize, &super::card::Seen)| {
             let unit = light(&base.ring, &seen, i) * cell.target * base.field.at_q(cell.q);
@@ -103,40 +99,39 @@ pub fn correct_flash(
         None => USUAL_JITTER,
     };
     let error: [f64; 3] = std::array::from_fn(|c| {
-        let before = base.radiance_error.map_or(0.0, |error| error[c] / base.radiance[c]);
+        let before = base.radiance_dn_standard_error.map_or(0.0, |error| error[c] / base.radiance_dn[c]);
         (before * before + jitter * jitter + noise[c] * noise[c]).sqrt()
     });
     let mut findings = base.findings.clone();
-    findings.radiance_dn = Some(std::array::from_fn(|c| {
-        let (value, half) = (radiance[c], NORMAL * error[c]);
-        Interval { value, low: value * (-half).exp(), high: value * half.exp() }
-    }));
     findings.second_render_ratio = std::array::from_fn(|c| measured[c] / second[c]);
-    findings.target_curve.clone_from(&target.curve);
+    findings.target_factor_by_angle_rad.clone_from(&target.curve);
     (findings.left_one_out_error, findings.held_out_error) = (None, None);
     let measured_factor = energy_counts.zip(base.energy_counts).map(|(now, then)| now / then);
     findings.correction =
         Some(Correction { factor, measured_factor, base_file: String::new(), base_blake3: String::new() });
     let card = CardResidual {
         label: shot.label.clone(),
-        distance: shot.plane.distance(),
-        gain: 1.0,
+        distance_m: shot.plane.distance(),
+        gain: Some(1.0),
         measured_gain: None,
-        rms,
-        clipped: shot.clipped,
+        residual_rms: Some(rms),
+        clipped_share: shot.clipped,
         used: true,
         left_out: None,
         prediction_error: None,
-        prediction_half: None,
+        prediction_error_interval_95: None,
         held_out: false,
     };
     Ok(FlashCalibration {
-        radiance,
-        radiance_error: Some(std::array::from_fn(|c| radiance[c] * error[c])),
+        radiance_dn: radiance,
+        radiance_dn_interval_95: Some(std::array::from_fn(|c| {
+            [-Z95, Z95].map(|reach| radiance[c] * (reach * error[c]).exp())
+        })),
+        radiance_dn_standard_error: Some(std::array::from_fn(|c| radiance[c] * error[c])),
         target_reflectance: target.reflectance,
         energy_counts,
         cards: vec![card],
-        rms,
+        residual_rms: rms,
         findings,
         ..base.clone()
     })

@@ -5,8 +5,8 @@ use super::check::{check, check_target, unfit};
 use super::mixed::{ShotSums, Solution, solve};
 use super::model::{Cards, Figure, first_guess};
 use super::{
-    CardResidual, FEWEST_CELLS, FlashCalibration, FlashFacts, FlashFindings, FlashFitError, Interval,
-    MOST_RESIDUAL, USUAL_JITTER, Vignetting,
+    CardResidual, FEWEST_CELLS, FlashCalibration, FlashFacts, FlashFindings, FlashFitError, MOST_RESIDUAL,
+    USUAL_JITTER, Vignetting,
 };
 use crate::light::Ring;
 
@@ -67,31 +67,31 @@ pub fn fit_flash(shots: &[CardShot], facts: &FlashFacts) -> Result<FlashCalibrat
         };
         CardResidual {
             label: shot.label.clone(),
-            distance: shot.plane.distance(),
-            gain: sums.as_ref().map_or(0.0, |sums| energy * (1.0 + sums.own())),
+            distance_m: shot.plane.distance(),
+            gain: sums.as_ref().map(|sums| energy * (1.0 + sums.own())),
             measured_gain: measured_gain(s),
-            rms: sums.as_ref().map_or(0.0, ShotSums::rms),
-            clipped: shot.clipped,
+            residual_rms: sums.as_ref().map(ShotSums::rms),
+            clipped_share: shot.clipped,
             used: place.is_some(),
             left_out: match place {
                 Some(_) => None,
                 None => Some(reasons[s].clone().unwrap_or_else(|| "kept from the fit, to check it".into())),
             },
             prediction_error,
-            prediction_half: sums
-                .as_ref()
-                .filter(|_| place.is_none())
-                .map(|sums| solution.half_prediction(sums)),
+            prediction_error_interval_95: sums.as_ref().filter(|_| place.is_none()).map(|sums| {
+                let half = solution.half_prediction(sums);
+                [sums.own() - half, sums.own() + half]
+            }),
             held_out: shot.held_out,
         }
     });
     let cards_told: Vec<CardResidual> = residuals.collect();
     let findings = fits.findings(&model, &solution, &cards_told, facts.target);
-    let unit = |i: usize| (0..solution.theta.len()).map(|j| f64::from(u8::from(i == j))).collect::<Vec<_>>();
     Ok(FlashCalibration {
         ring: flash.ring,
-        radiance: flash.radiance,
-        radiance_error: Some(std::array::from_fn(|c| flash.radiance[c] * solution.error(&unit(c)))),
+        radiance_dn: flash.radiance,
+        radiance_dn_interval_95: Some(fits.radiance_interval(&solution)),
+        radiance_dn_standard_error: Some(std::array::from_fn(|c| flash.radiance[c] * solution.error(c))),
         field: flash.field,
         noise: facts.noise,
         target_reflectance: facts.target.reflectance,
@@ -100,7 +100,7 @@ pub fn fit_flash(shots: &[CardShot], facts: &FlashFacts) -> Result<FlashCalibrat
         focal_length_mm: None,
         energy_counts,
         cards: cards_told,
-        rms,
+        residual_rms: rms,
         findings,
     })
 }
@@ -169,19 +169,24 @@ impl<'a> Fits<'a> {
                 cards.iter().filter(|c| wanted(c)).filter_map(|c| Some(c.prediction_error?.abs())).collect();
             (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
         };
-        let radiance_dn = std::array::from_fn(|c| {
-            let mut form = vec![0.0; solution.theta.len()];
-            form[c] = 1.0;
-            let (value, half) = (self.guess[c] * solution.theta[c].exp(), solution.half_interval(&form));
-            Interval { value, low: value * (-half).exp(), high: value * half.exp() }
-        });
+        let (offset_m, offset_m_interval_95) =
+            interval(model, solution, Figure::Offset, self.ring.offset).unzip();
+        let (lobe_exponent, lobe_exponent_interval_95) =
+            interval(model, solution, Figure::Lobe, self.ring.lobe).unzip();
+        let (inner_radius_m, inner_radius_m_interval_95) = radius(Figure::Inner, self.ring.inner).unzip();
+        let (outer_radius_m, outer_radius_m_interval_95) = radius(Figure::Outer, self.ring.outer).unzip();
+        let (distance_exponent, distance_exponent_interval_95) = exponent.unzip();
         FlashFindings {
-            radiance_dn: Some(radiance_dn),
-            offset_m: interval(model, solution, Figure::Offset, self.ring.offset),
-            lobe_exponent: interval(model, solution, Figure::Lobe, self.ring.lobe),
-            inner_radius_m: radius(Figure::Inner, self.ring.inner),
-            outer_radius_m: radius(Figure::Outer, self.ring.outer),
-            distance_exponent: exponent,
+            offset_m,
+            offset_m_interval_95,
+            lobe_exponent,
+            lobe_exponent_interval_95,
+            inner_radius_m,
+            inner_radius_m_interval_95,
+            outer_radius_m,
+            outer_radius_m_interval_95,
+            distance_exponent,
+            distance_exponent_interval_95,
             vignetting_given: self.vignetting.is_some(),
             radii_fitted: free,
             flat_field: None,
@@ -191,10 +196,18 @@ impl<'a> Fits<'a> {
             left_one_out_error: mean_size(&|c| c.used),
             held_out_error: mean_size(&|c| c.held_out && !c.used),
             second_render_ratio: self.second_render(model, solution),
-            target_curve: target.curve.clone(),
+            target_factor_by_angle_rad: target.curve.clone(),
             correction: None,
             card_tags: vec![],
         }
+    }
+
+    /// Ends of the radiances' 95 % intervals, red green blue.
+    fn radiance_interval(&self, solution: &Solution) -> [[f64; 2]; 3] {
+        std::array::from_fn(|c| {
+            let (value, half) = (self.guess[c] * solution.theta[c].exp(), solution.half_interval(c));
+            [value * (-half).exp(), value * half.exp()]
+        })
     }
 
     /// Light of all cells over that of a render with the figures found (thesis, table 3.4), by a sum over points of the
@@ -220,9 +233,7 @@ impl<'a> Fits<'a> {
 /// Half of a figure's 95 % interval.
 fn half(model: &Cards, solution: &Solution, figure: Figure) -> Option<(usize, f64)> {
     let place = model.place(figure)?;
-    let mut form = vec![0.0; solution.theta.len()];
-    form[place] = 1.0;
-    Some((place, solution.half_interval(&form)))
+    Some((place, solution.half_interval(place)))
 }
 
 /// Whether the shots tell a figure well enough to be of use.
@@ -230,7 +241,9 @@ fn tells(model: &Cards, solution: &Solution, figure: Figure) -> bool {
     half(model, solution, figure).is_some_and(|(_, half)| half <= figure.widest())
 }
 
-fn interval(model: &Cards, solution: &Solution, figure: Figure, ruler: f64) -> Option<Interval> {
+/// A figure and its 95 % interval.
+fn interval(model: &Cards, solution: &Solution, figure: Figure, ruler: f64) -> Option<(f64, [f64; 2])> {
     let (place, half) = half(model, solution, figure)?;
-    Some(Interval::around(ruler + solution.theta[place], half))
+    let value = ruler + solution.theta[place];
+    Some((value, [value - half, value + half]))
 }

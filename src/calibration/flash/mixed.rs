@@ -15,8 +15,10 @@
 //! are Student's with Satterthwaite's degrees of freedom, which count shots and not cells where the jitter decides
 //! (Giesbrecht and Burns, Biometrics 41, 1985).
 
-use super::linear::Symmetric;
 use super::variance::jitter;
+use crate::calibration::linear::{Normal, inverse};
+use crate::calibration::statistics::{Z95, t_975};
+use nalgebra::{DMatrix, DVector, DVectorView};
 
 /// Most evaluations of the model.
 const MOST_ROUNDS: usize = 60;
@@ -32,9 +34,9 @@ const CLOSE: f64 = 1e-3;
 /// the sensor's variance alone.
 #[derive(Clone, Debug)]
 pub(super) struct ShotSums {
-    pub(super) a: Symmetric,
-    pub(super) c: Vec<f64>,
-    pub(super) g: Vec<f64>,
+    /// A and g.
+    pub(super) cells: Normal,
+    pub(super) c: DVector<f64>,
     pub(super) w: f64,
     pub(super) h: f64,
     /// Sum of w r^2.
@@ -47,17 +49,14 @@ pub(super) struct ShotSums {
 
 impl ShotSums {
     pub(super) fn zero(n: usize) -> Self {
-        let (a, c) = (Symmetric::zero(n), vec![0.0; n]);
-        Self { a, g: c.clone(), c, w: 0.0, h: 0.0, chi: 0.0, count: 0.0, plain: 0.0, squares: 0.0 }
+        let (cells, c) = (Normal::zero(n), DVector::zeros(n));
+        Self { cells, c, w: 0.0, h: 0.0, chi: 0.0, count: 0.0, plain: 0.0, squares: 0.0 }
     }
 
     /// One cell.
     pub(super) fn add(&mut self, weight: f64, residual: f64, derivative: &[f64]) {
-        self.a.add_outer(derivative, weight);
-        for ((c, g), d) in self.c.iter_mut().zip(&mut self.g).zip(derivative) {
-            *c += weight * d;
-            *g += weight * d * residual;
-        }
+        self.cells.add(derivative, residual, weight);
+        self.c.iter_mut().zip(derivative).for_each(|(c, d)| *c += weight * d);
         self.w += weight;
         self.h += weight * residual;
         self.chi += weight * residual * residual;
@@ -83,7 +82,7 @@ pub(super) trait Model {
     /// Sums of every shot; `None` where the parameters make no sense.
     fn sums(&self, theta: &[f64]) -> Option<Vec<ShotSums>>;
     /// Information beforehand about the parameters, which are 0 by it.
-    fn prior(&self) -> &Symmetric;
+    fn prior(&self) -> &DMatrix<f64>;
 }
 
 /// What came out.
@@ -91,7 +90,7 @@ pub(super) trait Model {
 pub(super) struct Solution {
     pub(super) theta: Vec<f64>,
     /// Covariance of `theta`.
-    pub(super) covariance: Symmetric,
+    pub(super) covariance: DMatrix<f64>,
     /// Sums at `theta`.
     pub(super) sums: Vec<ShotSums>,
     /// Variance of the jitter, relative.
@@ -100,7 +99,7 @@ pub(super) struct Solution {
     pub(super) freedom: Option<f64>,
     /// phi.
     pub(super) dispersion: f64,
-    normal: Symmetric,
+    normal: DMatrix<f64>,
 }
 
 /// Weight of the jitter in a shot: k.
@@ -108,30 +107,21 @@ fn kernel(s: &ShotSums, variance: f64, phi: f64) -> f64 {
     variance / (phi + variance * s.w)
 }
 
-fn normal_of(s: &ShotSums, variance: f64, phi: f64) -> Symmetric {
-    let mut n = Symmetric::zero(s.c.len());
-    n.add(&s.a, 1.0 / phi);
-    n.add_outer(&s.c, -kernel(s, variance, phi) / phi);
-    n
+/// Marginal normal equations of a shot.
+fn marginal(s: &ShotSums, variance: f64, phi: f64) -> Normal {
+    let mut own = s.cells.clone();
+    own.add(s.c.as_slice(), s.h, -kernel(s, variance, phi));
+    Normal { matrix: own.matrix / phi, right: own.right / phi }
 }
 
-fn gradient_of(s: &ShotSums, variance: f64, phi: f64) -> Vec<f64> {
-    let k = kernel(s, variance, phi);
-    s.g.iter().zip(&s.c).map(|(g, c)| (g - c * s.h * k) / phi).collect()
+/// v' M v.
+fn form(m: &DMatrix<f64>, v: &DVector<f64>) -> f64 {
+    v.dot(&(m * v))
 }
 
-fn normal(sums: &[ShotSums], prior: &Symmetric, variance: f64, phi: f64) -> Symmetric {
-    let mut n = prior.clone();
-    for s in sums {
-        n.add(&s.a, 1.0 / phi);
-        n.add_outer(&s.c, -kernel(s, variance, phi) / phi);
-    }
-    n
-}
-
-fn objective(sums: &[ShotSums], theta: &[f64], prior: &Symmetric, variance: f64, phi: f64) -> f64 {
+fn objective(sums: &[ShotSums], theta: &DVector<f64>, prior: &DMatrix<f64>, variance: f64, phi: f64) -> f64 {
     let of = |s: &ShotSums| (s.chi - s.h * s.h * kernel(s, variance, phi)) / phi;
-    sums.iter().map(of).sum::<f64>() + prior.form(theta)
+    sums.iter().map(of).sum::<f64>() + form(prior, theta)
 }
 
 /// Mean square of the residuals within the shots, 1 at least: the sensor's noise is not less than it is.
@@ -147,30 +137,29 @@ fn dispersion(sums: &[ShotSums], unknowns: usize) -> f64 {
 pub(super) fn solve(model: &impl Model, start: Vec<f64>, usual: f64) -> Option<Solution> {
     let prior = model.prior();
     let unknowns = start.len();
-    let (mut theta, mut damping) = (start, 0.0f64);
-    let mut sums = model.sums(&theta)?;
+    let (mut theta, mut damping) = (DVector::from_vec(start), 0.0f64);
+    let mut sums = model.sums(theta.as_slice())?;
     let (mut settled, mut before) = (0, None);
     for _ in 0..MOST_ROUNDS {
         let phi = dispersion(&sums, unknowns);
         let (variance, freedom) = jitter(&sums, prior, usual, phi, before)?;
         before = freedom.map(|_| variance);
-        let plain = normal(&sums, prior, variance, phi);
-        let covariance = plain.inverse()?;
+        let mut all = Normal { matrix: prior.clone(), right: -(prior * &theta) };
+        for s in &sums {
+            let own = marginal(s, variance, phi);
+            all.matrix += own.matrix;
+            all.right += own.right;
+        }
+        let covariance = inverse(&all.matrix)?;
         if settled == 2 {
-            let normal = plain;
+            let (theta, normal) = (theta.as_slice().to_vec(), all.matrix);
             return Some(Solution { theta, covariance, sums, variance, freedom, dispersion: phi, normal });
         }
-        let mut right: Vec<f64> = prior.times(&theta).iter().map(|p| -p).collect();
-        for s in &sums {
-            right.iter_mut().zip(gradient_of(s, variance, phi)).for_each(|(r, g)| *r += g);
-        }
-        let mut damped = plain.clone();
-        (0..unknowns).for_each(|i| damped.add_diagonal(i, damping * plain.at(i, i)));
-        let step = damped.inverse()?.times(&right);
-        let next: Vec<f64> = theta.iter().zip(&step).map(|(t, s)| t + s).collect();
+        let (step, _) = all.damped(damping).solve()?;
+        let next = &theta + &step;
         let before = objective(&sums, &theta, prior, variance, phi);
-        let close = (0..unknowns).all(|i| step[i].abs() <= CLOSE * covariance.at(i, i).sqrt());
-        let tried = model.sums(&next).filter(|tried| {
+        let close = (0..unknowns).all(|i| step[i].abs() <= CLOSE * covariance[(i, i)].sqrt());
+        let tried = model.sums(next.as_slice()).filter(|tried| {
             let after = objective(tried, &next, prior, variance, phi);
             after.is_finite() && (after <= before + SLACK || close)
         });
@@ -188,20 +177,17 @@ pub(super) fn solve(model: &impl Model, start: Vec<f64>, usual: f64) -> Option<S
 }
 
 impl Solution {
-    /// Standard error of a linear form of the parameters.
-    pub(super) fn error(&self, form: &[f64]) -> f64 {
-        self.covariance.form(form).max(0.0).sqrt()
+    /// Standard error of a parameter.
+    pub(super) fn error(&self, place: usize) -> f64 {
+        self.covariance[(place, place)].max(0.0).sqrt()
     }
 
-    /// Half of the 95 % interval of a linear form.
-    pub(super) fn half_interval(&self, form: &[f64]) -> f64 {
-        self.error(form) * self.freedom_of(form).map_or(NORMAL, student)
-    }
-
-    /// Satterthwaite's degrees of freedom of a linear form's variance; `None` if nothing of it was estimated.
-    fn freedom_of(&self, form: &[f64]) -> Option<f64> {
-        let part = self.slope(form) * self.variance / self.covariance.form(form);
-        self.freedom_of_part(part)
+    /// Half of the 95 % interval of a parameter.
+    pub(super) fn half_interval(&self, place: usize) -> f64 {
+        // Satterthwaite's degrees of freedom.
+        let part =
+            self.slope(self.covariance.column(place)) * self.variance / self.covariance[(place, place)];
+        self.error(place) * self.freedom_of_part(part).map_or(Z95, t_975)
     }
 
     /// Degrees of freedom of a variance of which the jitter's own is this part, in logarithms.
@@ -210,66 +196,28 @@ impl Solution {
         self.freedom.filter(|_| part > 1e-6).map(|freedom| (freedom / (part * part)).max(1.0))
     }
 
-    /// By how much a linear form's variance grows with the jitter's.
-    fn slope(&self, form: &[f64]) -> f64 {
-        let spread = self.covariance.times(form);
-        self.sums
-            .iter()
-            .map(|s| {
-                let along: f64 = s.c.iter().zip(&spread).map(|(a, b)| a * b).sum();
-                (along / (self.dispersion + self.variance * s.w)).powi(2)
-            })
-            .sum()
+    /// By how much a linear form's variance grows with the jitter's; `spread`: the covariance times the form.
+    fn slope(&self, spread: DVectorView<f64>) -> f64 {
+        let of = |s: &ShotSums| (s.c.dot(&spread) / (self.dispersion + self.variance * s.w)).powi(2);
+        self.sums.iter().map(of).sum()
     }
 
     /// Half of the 95 % interval within which the light of a shot outside of the fit is off its prediction, relative.
     pub(super) fn half_prediction(&self, shot: &ShotSums) -> f64 {
-        let form: Vec<f64> = shot.c.iter().map(|c| c / shot.w).collect();
-        let all = self.variance + self.dispersion / shot.w + self.covariance.form(&form);
-        let part = self.variance * (1.0 + self.slope(&form)) / all;
-        all.sqrt() * self.freedom_of_part(part).map_or(NORMAL, student)
+        let own = &shot.c / shot.w;
+        let all = self.variance + self.dispersion / shot.w + form(&self.covariance, &own);
+        let spread = &self.covariance * own;
+        let part = self.variance * (1.0 + self.slope(spread.as_view())) / all;
+        all.sqrt() * self.freedom_of_part(part).map_or(Z95, t_975)
     }
 
     /// What a shot would have been off a fit made without it (one step from the optimum), relative.
     pub(super) fn left_out(&self, shot: usize) -> Option<f64> {
         let s = &self.sums[shot];
-        let mut rest = self.normal.clone();
-        rest.add(&normal_of(s, self.variance, self.dispersion), -1.0);
-        let pull: Vec<f64> = gradient_of(s, self.variance, self.dispersion).iter().map(|g| -g).collect();
-        let step = rest.inverse()?.times(&pull);
-        Some((s.h - s.c.iter().zip(step).map(|(c, d)| c * d).sum::<f64>()) / s.w)
+        let own = marginal(s, self.variance, self.dispersion);
+        let (step, _) = Normal { matrix: &self.normal - own.matrix, right: -own.right }.solve()?;
+        Some((s.h - s.c.dot(&step)) / s.w)
     }
-}
-
-/// 97.5 % point of the normal distribution.
-const NORMAL: f64 = 1.959_964;
-
-/// 97.5 % point of Student's distribution, interpolated in 1 / degrees of freedom between tabled values.
-fn student(freedom: f64) -> f64 {
-    const TABLE: [(f64, f64); 13] = [
-        (1.0, 12.7062),
-        (2.0, 4.3027),
-        (3.0, 3.1824),
-        (4.0, 2.7764),
-        (5.0, 2.5706),
-        (6.0, 2.4469),
-        (8.0, 2.3060),
-        (10.0, 2.2281),
-        (15.0, 2.1314),
-        (20.0, 2.0860),
-        (30.0, 2.0423),
-        (60.0, 2.0003),
-        (f64::INFINITY, NORMAL),
-    ];
-    let inverse = 1.0 / freedom.max(1.0);
-    for pair in TABLE.windows(2) {
-        let ((n0, t0), (n1, t1)) = (pair[0], pair[1]);
-        if inverse >= 1.0 / n1 {
-            let part = (inverse - 1.0 / n1) / (1.0 / n0 - 1.0 / n1);
-            return (part * t0.ln() + (1.0 - part) * t1.ln()).exp();
-        }
-    }
-    NORMAL
 }
 
 #[cfg(test)]
@@ -280,7 +228,7 @@ mod tests {
     struct Level {
         shots: Vec<Vec<f64>>,
         deviation: f64,
-        prior: Symmetric,
+        prior: DMatrix<f64>,
     }
 
     impl Model for Level {
@@ -294,7 +242,7 @@ mod tests {
             Some(self.shots.iter().map(of).collect())
         }
 
-        fn prior(&self) -> &Symmetric {
+        fn prior(&self) -> &DMatrix<f64> {
             &self.prior
         }
     }
@@ -303,14 +251,14 @@ mod tests {
     fn with_one_level_it_is_the_mean_of_the_shots_with_students_interval() {
         let means = [98.0, 101.0, 103.0, 99.5, 100.2];
         let shots = means.iter().map(|m| vec![m - 1e-3, *m, m + 1e-3]).collect();
-        let fit = solve(&Level { shots, deviation: 1e-3, prior: Symmetric::zero(1) }, vec![4.0], 0.003);
+        let fit = solve(&Level { shots, deviation: 1e-3, prior: DMatrix::zeros(1, 1) }, vec![4.0], 0.003);
         let fit = fit.unwrap();
         let mean = means.iter().sum::<f64>() / 5.0;
         let sd = (means.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / 4.0).sqrt();
         assert!((fit.theta[0].exp() / mean - 1.0).abs() < 1e-6, "{fit:?}");
         assert!((fit.variance.sqrt() / (sd / mean) - 1.0).abs() < 1e-3, "{fit:?}");
         let wanted = 2.7764 * sd / mean / 5f64.sqrt();
-        assert!((fit.half_interval(&[1.0]) / wanted - 1.0).abs() < 1e-3);
+        assert!((fit.half_interval(0) / wanted - 1.0).abs() < 1e-3);
         let others = (means.iter().sum::<f64>() - 98.0) / 4.0;
         assert!((fit.left_out(0).unwrap() - (98.0 - others) / mean).abs() < 1e-4);
     }
@@ -318,21 +266,13 @@ mod tests {
     #[test]
     fn a_single_shot_takes_the_jitter_that_is_given() {
         let fit = solve(
-            &Level { shots: vec![vec![50.0; 9]], deviation: 0.1, prior: Symmetric::zero(1) },
+            &Level { shots: vec![vec![50.0; 9]], deviation: 0.1, prior: DMatrix::zeros(1, 1) },
             vec![3.0],
             0.004,
         );
         let fit = fit.unwrap();
         assert_eq!(fit.freedom, None);
-        assert!((fit.error(&[1.0]) / 0.004 - 1.0).abs() < 0.05);
+        assert!((fit.error(0) / 0.004 - 1.0).abs() < 0.05);
         assert!(fit.left_out(0).is_none());
-    }
-
-    #[test]
-    fn students_points_between_the_tabled_ones() {
-        for (freedom, point) in [(1.0, 12.706), (7.0, 2.3646), (12.0, 2.1788), (40.0, 2.0211), (1e9, 1.95996)]
-        {
-            assert!((student(freedom) / point - 1.0).abs() < 2e-3, "{freedom}");
-        }
     }
 }

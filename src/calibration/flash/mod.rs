@@ -26,7 +26,6 @@ mod check;
 mod correct;
 mod error;
 mod fit;
-mod linear;
 mod mixed;
 mod model;
 mod variance;
@@ -64,44 +63,25 @@ pub struct FieldFactor {
     pub coefficients: [f64; 3],
 }
 
-/// A figure with its 95 % interval.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Interval {
-    /// Best value.
-    pub value: f64,
-    /// Lower end.
-    pub low: f64,
-    /// Upper end.
-    pub high: f64,
-}
-
-impl Interval {
-    fn around(value: f64, half: f64) -> Self {
-        Self { value, low: value - half, high: value + half }
-    }
-
-    /// Whether a value lies inside.
-    pub fn holds(&self, value: f64) -> bool {
-        (self.low..=self.high).contains(&value)
-    }
-}
-
 /// What a shot of the series contributed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CardResidual {
     /// File name.
     pub label: String,
     /// Given distance, metres.
-    pub distance: f64,
-    /// Flash energy of this shot relative to the radiance's, as fitted.
-    pub gain: f64,
+    pub distance_m: f64,
+    /// Flash energy of this shot relative to the radiance's, as fitted; absent where the shot cannot be measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gain: Option<f64>,
     /// Flash energy of this shot relative to [`FlashCalibration::energy_counts`], as the photodiode measured it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measured_gain: Option<f64>,
-    /// Root mean square of (measured / model - 1) over the cells, the shot's own energy taken out.
-    pub rms: f64,
+    /// Root mean square of (measured / model - 1) over the cells, the shot's own energy taken out; absent where the shot
+    /// cannot be measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub residual_rms: Option<f64>,
     /// Share of cells that were clipped and left out.
-    pub clipped: f64,
+    pub clipped_share: f64,
     /// Whether the shot entered the fit.
     pub used: bool,
     /// Why it did not, in words.
@@ -110,9 +90,9 @@ pub struct CardResidual {
     /// Its light over what a fit without it predicts, less 1; absent if no such fit can be made.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prediction_error: Option<f64>,
-    /// Half of the 95 % interval about 0 within which `prediction_error` should lie; of shots outside of the fit.
+    /// Its 95 % interval, which should hold 0; of shots outside of the fit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub prediction_half: Option<f64>,
+    pub prediction_error_interval_95: Option<[f64; 2]>,
     /// Kept from the fit on purpose, to check it.
     #[serde(default)]
     pub held_out: bool,
@@ -121,18 +101,26 @@ pub struct CardResidual {
 /// What the fit says beside the figures that processing uses. What is absent the shots cannot tell.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FlashFindings {
-    /// Radiance per channel, DN.
-    pub radiance_dn: Option<[Interval; 3]>,
     /// Where the ring's plane lies along the axis, towards the scene positive.
-    pub offset_m: Option<Interval>,
+    pub offset_m: Option<f64>,
+    /// Its 95 % interval.
+    pub offset_m_interval_95: Option<[f64; 2]>,
     /// Exponent n of the lobe cos^n; only where the vignetting was given.
-    pub lobe_exponent: Option<Interval>,
+    pub lobe_exponent: Option<f64>,
+    /// Its 95 % interval.
+    pub lobe_exponent_interval_95: Option<[f64; 2]>,
     /// The ring's radii as the shots tell them; the calibration keeps the ruler's unless `radii_fitted`.
-    pub inner_radius_m: Option<Interval>,
+    pub inner_radius_m: Option<f64>,
+    /// Its 95 % interval.
+    pub inner_radius_m_interval_95: Option<[f64; 2]>,
     /// Outer.
-    pub outer_radius_m: Option<Interval>,
+    pub outer_radius_m: Option<f64>,
+    /// Its 95 % interval.
+    pub outer_radius_m_interval_95: Option<[f64; 2]>,
     /// p of a law 1 / d^p for a small lamp.
-    pub distance_exponent: Option<Interval>,
+    pub distance_exponent: Option<f64>,
+    /// Its 95 % interval.
+    pub distance_exponent_interval_95: Option<[f64; 2]>,
     /// Whether `field` is the lens's vignetting alone; otherwise it is vignetting times lobe.
     pub vignetting_given: bool,
     /// Whether `ring` has the radii that the shots tell and not the ruler's.
@@ -153,8 +141,8 @@ pub struct FlashFindings {
     pub held_out_error: Option<f64>,
     /// Light of all cells used over that of a second render with the figures found, red green blue.
     pub second_render_ratio: [f64; 3],
-    /// The card's factor over the angle (radians), as given.
-    pub target_curve: Vec<[f64; 2]>,
+    /// The card's factor over the angle, as given: angle from the normal in radians, factor.
+    pub target_factor_by_angle_rad: Vec<[f64; 2]>,
     /// By which single shot an earlier calibration was brought to this energy; absent for a fit of its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correction: Option<Correction>,
@@ -179,9 +167,11 @@ pub struct FlashCalibration {
     pub ring: Ring,
     /// Radiance per channel in DN: a surface of reflectance rho under irradiance-per-radiance E1 reads
     /// `radiance * g * E1 * rho / pi`.
-    pub radiance: [f64; 3],
-    /// Standard error of `radiance`, the flash's jitter included; absent if it did not come from a fit.
-    pub radiance_error: Option<[f64; 3]>,
+    pub radiance_dn: [f64; 3],
+    /// Ends of its 95 % interval; absent if it did not come from a fit.
+    pub radiance_dn_interval_95: Option<[[f64; 2]; 3]>,
+    /// Its standard error, the flash's jitter included; absent if it did not come from a fit.
+    pub radiance_dn_standard_error: Option<[f64; 3]>,
     /// Vignetting times lobe; vignetting alone where that was given.
     pub field: FieldFactor,
     /// Sensor noise, measured on the same shots.
@@ -195,14 +185,14 @@ pub struct FlashCalibration {
     /// Focal length of the shots, mm; `field` is of no other.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focal_length_mm: Option<f64>,
-    /// Energy of the flash to which `radiance` belongs, in the flash controller's counts; absent unless the
+    /// Energy of the flash to which `radiance_dn` belongs, in the flash controller's counts; absent unless the
     /// controller measured every shot that was used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub energy_counts: Option<f64>,
     /// Every shot with its residuals.
     pub cards: Vec<CardResidual>,
     /// Root mean square of (measured / model - 1) over all cells used, each shot's own energy taken out.
-    pub rms: f64,
+    pub residual_rms: f64,
     /// Intervals and tests.
     #[serde(default)]
     pub findings: FlashFindings,

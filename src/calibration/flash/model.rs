@@ -1,10 +1,10 @@
 //! What a cell of a card shot reads, by the unknowns of the fit, and its derivatives.
 
 use super::card::SeenShot;
-use super::linear::Symmetric;
 use super::mixed::{Model, ShotSums};
 use super::{FieldFactor, Vignetting};
 use crate::light::Ring;
+use nalgebra::{DMatrix, Matrix3};
 use rayon::prelude::*;
 
 /// A figure of the flash that may be fitted beside radiance and field; each counts from its value by the ruler.
@@ -71,7 +71,7 @@ pub(super) struct Cards<'a> {
     bends: usize,
     figures: Vec<Figure>,
     /// What is known beforehand, as an information matrix.
-    prior: Symmetric,
+    prior: DMatrix<f64>,
     /// Geometric mean of the distances.
     middle: f64,
 }
@@ -93,14 +93,17 @@ impl<'a> Cards<'a> {
         figures: Vec<Figure>,
     ) -> Self {
         let bends = if vignetting.is_some_and(|v| v.information.is_none()) { 0 } else { FIELD };
-        let mut prior = Symmetric::zero(3 + bends + figures.len());
+        let unknowns = 3 + bends + figures.len();
+        let mut prior = DMatrix::zeros(unknowns, unknowns);
         match vignetting {
-            None => (3..3 + FIELD).for_each(|i| prior.add_diagonal(i, FIELD_BEFOREHAND.powi(-2))),
-            Some(Vignetting { information: Some(information), .. }) => prior.add_block(3, &information),
+            None => (3..3 + FIELD).for_each(|i| prior[(i, i)] = FIELD_BEFOREHAND.powi(-2)),
+            Some(Vignetting { information: Some(information), .. }) => {
+                prior.fixed_view_mut::<FIELD, FIELD>(3, 3).copy_from(&Matrix3::from(information));
+            }
             Some(_) => {}
         }
-        for (i, figure) in figures.iter().enumerate() {
-            prior.add_diagonal(3 + bends + i, figure.beforehand().powi(-2));
+        for (i, figure) in (3 + bends..).zip(&figures) {
+            prior[(i, i)] = figure.beforehand().powi(-2);
         }
         let field = vignetting.map_or(FieldFactor { coefficients: [0.0; 3] }, |v| v.field);
         let logs: f64 = shots.iter().map(|s| s.distance.ln()).sum();
@@ -115,7 +118,7 @@ impl<'a> Cards<'a> {
 
     /// Where the search begins.
     pub(super) fn start(&self) -> Vec<f64> {
-        vec![0.0; self.prior.size()]
+        vec![0.0; self.prior.nrows()]
     }
 
     /// The number of an unknown.
@@ -157,7 +160,7 @@ impl<'a> Cards<'a> {
 
     /// Sums of one shot, of those that are fitted or another.
     pub(super) fn sums_of(&self, shot: &SeenShot, flash: &Flash) -> Option<ShotSums> {
-        let n = self.prior.size();
+        let n = self.prior.nrows();
         let first = 3 + self.bends;
         let mut sums = ShotSums::zero(n);
         let mut derivative = vec![0.0; n];
@@ -202,7 +205,7 @@ impl Model for Cards<'_> {
         self.shots.par_iter().map(|shot| self.sums_of(shot, &flash)).collect()
     }
 
-    fn prior(&self) -> &Symmetric {
+    fn prior(&self) -> &DMatrix<f64> {
         &self.prior
     }
 }

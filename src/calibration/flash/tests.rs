@@ -1,4 +1,6 @@
 use super::*;
+use crate::calibration::flat::ProfilePoint;
+use crate::calibration::holds;
 use crate::photometry::{Cfa, LevelSource, Levels, Mosaic};
 use crate::raster::Image;
 use crate::scene::{Camera, Distortion};
@@ -72,15 +74,15 @@ fn facts<'a>(
 fn radiance_and_field_factor_of_synthetic_cards_come_back() {
     let shots = [shot(0.5, 1.0, 2e4), shot(0.8, 1.003, 2e4), shot(1.2, 0.997, 2e4)];
     let fit = fit(&shots).unwrap();
-    for (got, want) in fit.radiance.iter().zip([2.0e5, 4.0e5, 2.5e5]) {
-        assert!((got / want - 1.0).abs() < 2e-3, "{:?}", fit.radiance);
+    for (got, want) in fit.radiance_dn.iter().zip([2.0e5, 4.0e5, 2.5e5]) {
+        assert!((got / want - 1.0).abs() < 2e-3, "{:?}", fit.radiance_dn);
     }
     for q in [0.1, 0.5, 0.9] {
         let want = 1.0 - 0.11 * q - 0.02 * q * q;
         assert!((fit.field.at_q(q) - want).abs() < 1e-3, "{:?}", fit.field);
     }
-    assert!(fit.rms < 1e-3 && fit.cards[1].gain > fit.cards[2].gain);
-    assert!(fit.findings.offset_m.unwrap().holds(0.0), "{:?}", fit.findings);
+    assert!(fit.residual_rms < 1e-3 && fit.cards[1].gain > fit.cards[2].gain);
+    assert!(holds(fit.findings.offset_m_interval_95.unwrap(), 0.0), "{:?}", fit.findings);
     assert!(fit.findings.second_render_ratio.iter().all(|r| (r - 1.0).abs() < 2e-4), "{:?}", fit.findings);
 }
 
@@ -95,13 +97,13 @@ fn measured_energies_take_the_flashs_jitter_out_of_the_radiance() {
     let told = fit(&shots).unwrap();
     // The mean energy is 0.9933 of that to which the radiances below belong.
     assert!((told.energy_counts.unwrap() / 0.99333e5 - 1.0).abs() < 1e-4);
-    for (got, want) in told.radiance.iter().zip([2.0e5, 4.0e5, 2.5e5]) {
-        assert!((got / (0.99333 * want) - 1.0).abs() < 1e-3, "{:?}", told.radiance);
+    for (got, want) in told.radiance_dn.iter().zip([2.0e5, 4.0e5, 2.5e5]) {
+        assert!((got / (0.99333 * want) - 1.0).abs() < 1e-3, "{:?}", told.radiance_dn);
     }
-    let error = |fit: &FlashCalibration| fit.radiance_error.unwrap()[1] / fit.radiance[1];
+    let error = |fit: &FlashCalibration| fit.radiance_dn_standard_error.unwrap()[1] / fit.radiance_dn[1];
     assert!(error(&untold) > 0.01 && error(&told) < 0.001, "{} {}", error(&untold), error(&told));
     let shot = &told.cards[1];
-    assert!((shot.gain / shot.measured_gain.unwrap() - 1.0).abs() < 1e-3, "{shot:?}");
+    assert!((shot.gain.unwrap() / shot.measured_gain.unwrap() - 1.0).abs() < 1e-3, "{shot:?}");
     shots[2].energy_counts = None;
     assert_eq!(fit(&shots).unwrap().energy_counts, None);
 }
@@ -113,6 +115,8 @@ fn an_overexposed_shot_is_left_out_with_the_reason_and_a_series_of_them_refused(
     let fitted = fit(&[shot(0.5, 1.0, 3e3), shot(1.0, 1.0, 3e3), shot(1.5, 1.0, 3e3)]).unwrap();
     assert!(!fitted.cards[0].used && fitted.cards[1].used);
     assert!(fitted.cards[0].left_out.as_ref().unwrap().starts_with("over-exposed"), "{:?}", fitted.cards[0]);
+    let left_out = serde_json::to_value(&fitted.cards[0]).unwrap();
+    assert!(left_out["gain"].is_null() && left_out["residual_rms"].is_null(), "no figure of it: {left_out}");
     let verdict = fitted.verdict(true);
     assert!(verdict.sentences.iter().any(|s| s.contains("over-exposed")), "{verdict:?}");
     assert!(verdict.sentences.iter().any(|s| s.contains("not Lambertian")), "{verdict:?}");
@@ -142,7 +146,7 @@ fn a_single_shot_is_corrected_as_in_the_thesis_and_a_second_render_agrees() {
         "{:?}",
         fitted.findings
     );
-    assert!((fitted.radiance[1] / 4e5 - 1.0).abs() < 2e-3, "{:?}", fitted.radiance);
+    assert!((fitted.radiance_dn[1] / 4e5 - 1.0).abs() < 2e-3, "{:?}", fitted.radiance_dn);
 }
 
 #[test]
@@ -158,15 +162,15 @@ fn a_calibration_is_brought_to_another_power_by_one_shot_and_a_second_render_agr
     for c in 0..3 {
         assert!((correction.factor[c] / 0.25 - 1.0).abs() < 2e-3, "{correction:?}");
         assert!(
-            (corrected.radiance[c] / [5e4, 1e5, 6.25e4][c] - 1.0).abs() < 2e-3,
+            (corrected.radiance_dn[c] / [5e4, 1e5, 6.25e4][c] - 1.0).abs() < 2e-3,
             "{:?}",
-            corrected.radiance
+            corrected.radiance_dn
         );
         assert!((corrected.findings.second_render_ratio[c] - 1.0).abs() < 2e-4, "{:?}", corrected.findings);
     }
     assert_eq!((corrected.ring, corrected.field), (base.ring, base.field));
     assert_eq!((corrected.energy_counts, correction.measured_factor), (None, None));
-    let error = |fit: &FlashCalibration| fit.radiance_error.unwrap()[1] / fit.radiance[1];
+    let error = |fit: &FlashCalibration| fit.radiance_dn_standard_error.unwrap()[1] / fit.radiance_dn[1];
     assert!(error(&corrected) > error(&base), "the shot's own jitter is in it");
     let verdict = corrected.verdict(false);
     assert!(
@@ -176,7 +180,7 @@ fn a_calibration_is_brought_to_another_power_by_one_shot_and_a_second_render_agr
     // The same at twice the ISO: half of the factor is the sensor's.
     let faster = correct(&quarter, 2.0).unwrap();
     assert!((faster.findings.correction.unwrap().factor[1] / 0.125 - 1.0).abs() < 2e-3);
-    assert!((faster.radiance[1] / corrected.radiance[1] - 1.0).abs() < 1e-9);
+    assert!((faster.radiance_dn[1] / corrected.radiance_dn[1] - 1.0).abs() < 1e-9);
     // With the pulse measured its energy is the reference, and the photodiode's factor stands beside the shot's.
     quarter.energy_counts = Some(0.251e5);
     let measured = correct(&quarter, 1.0).unwrap();
@@ -202,7 +206,7 @@ fn one_shot_of_another_shape_than_the_calibrations_is_told_by_the_second_render(
     println!("second render {second}");
     let verdict = corrected.verdict(false);
     assert_eq!(verdict.good, (second - 1.0).abs() <= 2e-4, "{verdict:?}");
-    assert!(corrected.rms > 3e-3, "{}", corrected.rms);
+    assert!(corrected.residual_rms > 3e-3, "{}", corrected.residual_rms);
 }
 
 /// A rig whose figures are drawn at random, and its shots as cells with noise.
@@ -288,9 +292,12 @@ fn profile(field: &FieldFactor, seed: u64) -> Vignetting {
     let mut random = ChaCha8Rng::seed_from_u64(!seed);
     let error = 0.002;
     let profile = std::array::from_fn(|_| {
-        let at = |i: usize| (i as f64 + 0.5) / 12.0;
         let mut noise = || -> f64 { error * Distribution::<f64>::sample(&StandardNormal, &mut random) };
-        (0..12).map(|i| [at(i), field.at_q(at(i) * at(i)) + noise(), error]).collect()
+        let mut at = |radius: f64| {
+            let light = field.at_q(radius * radius) + noise();
+            ProfilePoint { radius, light, light_standard_error: error }
+        };
+        (0..12).map(|i| at((f64::from(i) + 0.5) / 12.0)).collect()
     });
     Vignetting::of_profile(FieldFactor { coefficients: [-0.1, 0.0, 0.0] }, &profile).unwrap()
 }
@@ -314,11 +321,11 @@ fn intervals_hold_the_truth_of_a_thousand_rigs_as_often_as_they_say() {
                 .unwrap_or_else(|e| panic!("rig {seed}: {e}"));
             let (found, kept) = (&fit.findings, &fit.cards[0]);
             [
-                found.radiance_dn.map(|r| r[1].holds(drawn.radiance[1])),
-                found.offset_m.map(|o| o.holds(drawn.ring.offset)),
-                found.lobe_exponent.map(|l| l.holds(drawn.ring.lobe)),
-                found.distance_exponent.map(|p| p.holds(2.0)),
-                kept.prediction_error.zip(kept.prediction_half).map(|(error, half)| error.abs() <= half),
+                fit.radiance_dn_interval_95.map(|r| holds(r[1], drawn.radiance[1])),
+                found.offset_m_interval_95.map(|o| holds(o, drawn.ring.offset)),
+                found.lobe_exponent_interval_95.map(|l| holds(l, drawn.ring.lobe)),
+                found.distance_exponent_interval_95.map(|p| holds(p, 2.0)),
+                kept.prediction_error_interval_95.map(|error| holds(error, 0.0)),
             ]
         })
         .collect();
@@ -342,18 +349,18 @@ fn radii_come_back_from_shots_near_the_card_and_stand_by_the_ruler_from_afar() {
             let plain = facts(&intrinsics, drawn.ruler, &target, None);
             let beside = fit_flash(&drawn.shots, &plain).unwrap().findings;
             let fitted = fit_flash(&drawn.shots, &FlashFacts { free_radii: true, ..plain }).unwrap();
-            let near = |told: Option<Interval>, wanted: f64| told.map(|i| i.holds(wanted));
+            let near = |told: Option<[f64; 2]>, wanted: f64| told.map(|i| holds(i, wanted));
             let free = fitted.findings.radii_fitted;
             assert!(!beside.radii_fitted);
             if free {
-                let told = fitted.findings.outer_radius_m.map_or(fitted.ring.outer, |i| i.value);
+                let told = fitted.findings.outer_radius_m.unwrap_or(fitted.ring.outer);
                 assert!((fitted.ring.outer - told).abs() < 1e-9);
             }
             [
-                near(beside.inner_radius_m, truth.inner),
-                near(beside.outer_radius_m, truth.outer),
-                near(fitted.findings.outer_radius_m.filter(|_| free), truth.outer),
-                fitted.findings.radiance_dn.filter(|_| free).map(|r| r[1].holds(drawn.radiance[1])),
+                near(beside.inner_radius_m_interval_95, truth.inner),
+                near(beside.outer_radius_m_interval_95, truth.outer),
+                near(fitted.findings.outer_radius_m_interval_95.filter(|_| free), truth.outer),
+                near(fitted.radiance_dn_interval_95.filter(|_| free).map(|r| r[1]), drawn.radiance[1]),
             ]
         })
         .collect();
@@ -383,6 +390,6 @@ fn held_out_shots_are_predicted_and_a_wrong_law_is_told() {
         let wrong = shot.plane.distance().powf(0.1);
         shot.cells.iter_mut().for_each(|cell| cell.value = cell.value.map(|v| v * wrong));
     }
-    let law = fit_flash(&drawn.shots, &facts).unwrap().findings.distance_exponent.unwrap();
-    assert!(law.holds(1.9) && !law.holds(2.0), "{law:?}");
+    let law = fit_flash(&drawn.shots, &facts).unwrap().findings.distance_exponent_interval_95.unwrap();
+    assert!(holds(law, 1.9) && !holds(law, 2.0), "{law:?}");
 }

@@ -6,8 +6,9 @@
 //! done in the logarithm of v, where it can neither leave the positive numbers nor creep, between bounds that every score
 //! narrows; it begins at the variance of the round before, so that two or three scores a round are enough.
 
-use super::linear::Symmetric;
 use super::mixed::ShotSums;
+use crate::calibration::linear::inverse;
+use nalgebra::DMatrix;
 
 /// Degrees of freedom that the shots must leave for the jitter to be found from them.
 const LEAST_FREEDOM: f64 = 1.5;
@@ -28,14 +29,14 @@ const MOST_STEPS: usize = 60;
 struct Restricted<'a> {
     sums: &'a [ShotSums],
     /// The normal matrix without jitter.
-    plain: Symmetric,
+    plain: DMatrix<f64>,
     phi: f64,
 }
 
 impl<'a> Restricted<'a> {
-    fn new(sums: &'a [ShotSums], prior: &Symmetric, phi: f64) -> Self {
+    fn new(sums: &'a [ShotSums], prior: &DMatrix<f64>, phi: f64) -> Self {
         let mut plain = prior.clone();
-        sums.iter().for_each(|s| plain.add(&s.a, 1.0 / phi));
+        sums.iter().for_each(|s| plain += &s.cells.matrix / phi);
         Self { sums, plain, phi }
     }
 
@@ -44,16 +45,13 @@ impl<'a> Restricted<'a> {
         let damps: Vec<f64> = self.sums.iter().map(|s| 1.0 / (self.phi + variance * s.w)).collect();
         let mut normal = self.plain.clone();
         for (s, damp) in self.sums.iter().zip(&damps) {
-            normal.add_outer(&s.c, -variance * damp / self.phi);
+            normal.ger(-variance * damp / self.phi, &s.c, &s.c, 1.0);
         }
-        let inverse = normal.inverse()?;
+        let inverse = inverse(&normal)?;
         let (mut score, mut information) = (0.0, 0.0);
         for (i, (s, damp)) in self.sums.iter().zip(&damps).enumerate() {
-            let spread = inverse.times(&s.c);
-            let between = |j: usize| {
-                let along: f64 = spread.iter().zip(&self.sums[j].c).map(|(a, b)| a * b).sum();
-                damp * damps[j] * along
-            };
+            let spread = &inverse * &s.c;
+            let between = |j: usize| damp * damps[j] * spread.dot(&self.sums[j].c);
             let own = s.w * damp - between(i);
             score += (s.h * damp).powi(2) - own;
             information += own * own + 2.0 * (0..i).map(|j| between(j).powi(2)).sum::<f64>();
@@ -66,7 +64,7 @@ impl<'a> Restricted<'a> {
 /// too few. `before`: the variance of an earlier round.
 pub(super) fn jitter(
     sums: &[ShotSums],
-    prior: &Symmetric,
+    prior: &DMatrix<f64>,
     usual: f64,
     phi: f64,
     before: Option<f64>,
@@ -134,7 +132,7 @@ mod tests {
         let shots = sums(&[0.98, 1.01, 1.03, 0.995, 1.002]);
         let wanted = shots.iter().map(|s| s.own().powi(2)).sum::<f64>() / 4.0;
         for before in [None, Some(0.0), Some(1e-12), Some(wanted), Some(0.5), Some(1.0)] {
-            let (found, freedom) = jitter(&shots, &Symmetric::zero(1), 0.003, 1.0, before).unwrap();
+            let (found, freedom) = jitter(&shots, &DMatrix::zeros(1, 1), 0.003, 1.0, before).unwrap();
             assert!((found / wanted - 1.0).abs() < 1e-3, "{before:?}: {found} of {wanted}");
             assert!((freedom.unwrap() - 4.0).abs() < 1e-3);
         }
@@ -144,9 +142,9 @@ mod tests {
     fn alike_shots_have_none_and_a_single_one_tells_none() {
         let alike = sums(&[1.0; 6]);
         for before in [None, Some(0.0), Some(0.1)] {
-            let (found, freedom) = jitter(&alike, &Symmetric::zero(1), 0.003, 1.0, before).unwrap();
+            let (found, freedom) = jitter(&alike, &DMatrix::zeros(1, 1), 0.003, 1.0, before).unwrap();
             assert!(found == 0.0 && freedom.is_some_and(|f| (f - 5.0).abs() < 0.1), "{found} {freedom:?}");
         }
-        assert_eq!(jitter(&alike[..1], &Symmetric::zero(1), 0.003, 1.0, None), Some((0.003 * 0.003, None)));
+        assert_eq!(jitter(&alike[..1], &DMatrix::zeros(1, 1), 0.003, 1.0, None), Some((0.003 * 0.003, None)));
     }
 }

@@ -1,8 +1,8 @@
 //! A flash calibration in words.
 
+use super::FlashCalibration;
 use super::correct::AGREED;
-use super::{FlashCalibration, Interval};
-use crate::calibration::Verdict;
+use crate::calibration::{Verdict, holds};
 
 /// Largest standard error of the radiance that is good, relative.
 const MOST_ERROR: f64 = 0.005;
@@ -20,19 +20,19 @@ impl FlashCalibration {
     /// What to make of it. `paper`: the card's reflectance was not given but taken for that of office paper.
     pub fn verdict(&self, paper: bool) -> Verdict {
         let found = &self.findings;
-        let error = self
-            .radiance_error
-            .map_or(f64::INFINITY, |error| (0..3).map(|c| error[c] / self.radiance[c]).fold(0.0, f64::max));
+        let error = self.radiance_dn_standard_error.map_or(f64::INFINITY, |error| {
+            (0..3).map(|c| error[c] / self.radiance_dn[c]).fold(0.0, f64::max)
+        });
         let used = self.cards.iter().filter(|c| c.used).count();
         let predicted = found.held_out_error.or(found.left_one_out_error);
-        let law = found.distance_exponent;
+        let law = found.distance_exponent.zip(found.distance_exponent_interval_95);
         let second = found.second_render_ratio.iter().map(|r| (r - 1.0).abs()).fold(0.0, f64::max);
         let agreed = used != 1 || second <= AGREED;
         let good = agreed
             && error <= MOST_ERROR
-            && self.rms <= MOST_RESIDUAL
+            && self.residual_rms <= MOST_RESIDUAL
             && predicted.is_none_or(|p| p <= MOST_PREDICTION)
-            && law.is_none_or(|law| law.holds(2.0) || (law.value - 2.0).abs() < 0.02);
+            && law.is_none_or(|(exponent, interval)| holds(interval, 2.0) || (exponent - 2.0).abs() < 0.02);
         let mut said = vec![match good {
             true => format!(
                 "The flash's energy is known to {} from {used} card {}.",
@@ -42,7 +42,7 @@ impl FlashCalibration {
             false => format!(
                 "Do not rely on this calibration: energy known to {}, residual {}{}.",
                 percent(error),
-                percent(self.rms),
+                percent(self.residual_rms),
                 predicted.map_or_else(String::new, |p| format!(", shots predicted within {}", percent(p)))
             ),
         }];
@@ -59,7 +59,7 @@ impl FlashCalibration {
             ));
         }
         said.push(match law {
-            Some(law) if law.holds(2.0) => format!(
+            Some(law) if holds(law.1, 2.0) => format!(
                 "Light falls with the distance to the power of {}: the inverse-square law holds.",
                 told(law, 3)
             ),
@@ -70,36 +70,37 @@ impl FlashCalibration {
             ),
             None => "The inverse-square law could not be tested: shoot the card at three distances or more.".into(),
         });
-        said.push(match found.offset_m {
-            Some(offset) => {
-                let mm = |x: f64| 1e3 * x;
-                let offset = Interval { value: mm(offset.value), low: mm(offset.low), high: mm(offset.high) };
+        said.push(match found.offset_m.zip(found.offset_m_interval_95) {
+            Some((offset, interval)) => {
+                let offset = (1e3 * offset, interval.map(|end| 1e3 * end));
                 format!("The ring lies {} mm before the lens's centre.", told(offset, 2))
             }
             None => "Where the ring lies along the axis the shots do not tell; it is taken to lie at the lens's centre.".into(),
         });
-        said.push(match (found.vignetting_given, found.lobe_exponent) {
+        said.push(match (found.vignetting_given, found.lobe_exponent.zip(found.lobe_exponent_interval_95)) {
             (true, Some(lobe)) => format!("Its lobe is cos^n with n = {}.", told(lobe, 3)),
             (true, None) => "The shots do not tell the lobe; it is taken to be even.".into(),
             (false, _) => {
                 "Without a flat field only the product of vignetting and lobe is known; no separate lobe is told.".into()
             }
         });
-        let radius = |name: &str, told_radius: Option<Interval>, ruler: f64| {
+        let radius = |name: &str, told_radius: Option<(f64, [f64; 2])>, ruler: f64| {
             if found.radii_fitted {
                 return Some(format!(
                     "Its {name} radius is {} m by the shots, not by the ruler.",
                     told(told_radius?, 4)
                 ));
             }
-            let found = told_radius.filter(|r| !r.holds(ruler))?;
+            let found = told_radius.filter(|r| !holds(r.1, ruler))?;
             Some(format!(
                 "The shots tell another {name} radius than the ruler's {ruler} m: {}; measure it again.",
                 told(found, 4)
             ))
         };
-        said.extend(radius("inner", found.inner_radius_m, self.ring.inner));
-        said.extend(radius("outer", found.outer_radius_m, self.ring.outer));
+        let inner = found.inner_radius_m.zip(found.inner_radius_m_interval_95);
+        let outer = found.outer_radius_m.zip(found.outer_radius_m_interval_95);
+        said.extend(radius("inner", inner, self.ring.inner));
+        said.extend(radius("outer", outer, self.ring.outer));
         if found.inner_radius_m.is_none() || found.outer_radius_m.is_none() {
             said.push("The shots do not tell both radii of the ring; the ruler's values stand.".into());
         }
@@ -151,6 +152,6 @@ fn plural(n: usize) -> &'static str {
 }
 
 /// Value and interval.
-fn told(i: Interval, digits: usize) -> String {
-    format!("{:.digits$} ({:.digits$} to {:.digits$})", i.value, i.low, i.high)
+fn told((value, [low, high]): (f64, [f64; 2]), digits: usize) -> String {
+    format!("{value:.digits$} ({low:.digits$} to {high:.digits$})")
 }

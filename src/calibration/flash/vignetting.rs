@@ -1,7 +1,8 @@
 //! The lens's vignetting as it is known before the flash is fitted.
 
 use super::FieldFactor;
-use super::linear::Symmetric;
+use crate::calibration::flat::ProfilePoint;
+use crate::calibration::linear::Normal;
 
 /// A curve and how well it is known.
 ///
@@ -24,40 +25,35 @@ impl Vignetting {
         Self { field, information: None }
     }
 
-    /// Out of relative light around the frame's centre by colour, as a flat field has it (distance over half diagonal,
-    /// light, standard error): one curve for all colours by least squares, `y = n_c V(q)` with a level n_c of each colour's
+    /// Out of relative light around the frame's centre by colour, as a flat field has it: one curve for all colours by least squares, `y = n_c V(q)` with a level n_c of each colour's
     /// own, and its information without those levels. `near` is a curve near it. Residuals that are more than noise,
     /// also what the colours differ by, lower the information. `None` if the profile does not tell a curve.
-    pub fn of_profile(near: FieldFactor, profile: &[Vec<[f64; 3]>; 3]) -> Option<Self> {
-        let mut information = Symmetric::zero(3);
-        let (mut pull, mut squares, mut freedom) = ([0.0; 3], 0.0, -3.0);
+    pub fn of_profile(near: FieldFactor, profile: &[Vec<ProfilePoint>; 3]) -> Option<Self> {
+        let mut normal = Normal::zero(3);
+        let (mut squares, mut freedom) = (0.0, -3.0);
         for rings in profile.iter().filter(|rings| !rings.is_empty()) {
             // Sums for the level, the curve's changes, and both.
             let (mut level, mut level_pull, mut across) = (0.0, 0.0, [0.0; 3]);
-            for [r, light, error] in rings {
-                let (q, weight) = (r * r, error.powi(-2));
+            for ProfilePoint { radius, light, light_standard_error } in rings {
+                let (q, weight) = (radius * radius, light_standard_error.powi(-2));
                 let (curve, powers) = (near.at_q(q), [q, q * q, q * q * q]);
                 let off = light - curve;
-                information.add_outer(&powers, weight);
+                normal.add(&powers, off, weight);
                 level += weight * curve * curve;
                 level_pull += weight * curve * off;
-                for i in 0..3 {
-                    across[i] += weight * curve * powers[i];
-                    pull[i] += weight * powers[i] * off;
-                }
+                (0..3).for_each(|i| across[i] += weight * curve * powers[i]);
                 squares += weight * off * off;
             }
-            information.add_outer(&across, -1.0 / level);
-            (0..3).for_each(|i| pull[i] -= across[i] * level_pull / level);
+            normal.add(&across, level_pull, -1.0 / level);
             squares -= level_pull * level_pull / level;
             freedom += rings.len() as f64 - 1.0;
         }
-        let change = information.inverse()?.times(&pull);
-        squares -= change.iter().zip(&pull).map(|(c, p)| c * p).sum::<f64>();
+        let (change, _) = normal.solve()?;
+        squares -= change.dot(&normal.right);
         let excess = if freedom > 0.0 { (squares / freedom).max(1.0) } else { 1.0 };
         let mut field = near;
-        field.coefficients.iter_mut().zip(change).for_each(|(a, c)| *a += c);
-        let information = std::array::from_fn(|i| std::array::from_fn(|j| information.at(i, j) / excess));
+        field.coefficients.iter_mut().zip(&change).for_each(|(a, c)| *a += c);
+        let information = std::array::from_fn(|i| std::array::from_fn(|j| normal.matrix[(i, j)] / excess));
         Some(Self { field, information: Some(information) })
     }
 }
@@ -69,9 +65,12 @@ mod tests {
     #[test]
     fn a_profile_gives_its_curve_whatever_the_colours_levels_and_a_poor_one_none() {
         let wanted = FieldFactor { coefficients: [-0.11, -0.02, 0.005] };
-        let rings = |level: f64| -> Vec<[f64; 3]> {
-            let at = |i: usize| (i as f64 + 0.5) / 12.0;
-            (0..12).map(|i| [at(i), level * wanted.at_q(at(i) * at(i)), 1e-3]).collect()
+        let rings = |level: f64| -> Vec<ProfilePoint> {
+            let at = |radius: f64| {
+                let light = level * wanted.at_q(radius * radius);
+                ProfilePoint { radius, light, light_standard_error: 1e-3 }
+            };
+            (0..12).map(|i| at((f64::from(i) + 0.5) / 12.0)).collect()
         };
         let near = FieldFactor { coefficients: [-0.13, 0.0, 0.0] };
         let found = Vignetting::of_profile(near, &[rings(1.0), rings(1.0001), rings(0.9998)]).unwrap();

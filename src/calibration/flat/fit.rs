@@ -1,8 +1,10 @@
 //! The curve, its order and its errors.
 
-use super::{FValues, Figure, FlatCalibration, FlatField, FlatFitError, KEEP, same_optics};
-use crate::calibration::linear::solve;
+use super::{FValues, FlatCalibration, FlatField, FlatFitError, KEEP, ProfilePoint, same_optics};
+use crate::calibration::linear::Normal;
+use crate::calibration::statistics::Z95;
 use crate::calibration::tiles::{EvenFrame, Tile, Tiles};
+use nalgebra::DMatrix;
 
 /// Largest relative standard error of a frame's mean light that is a measurement.
 const DARKEST: f64 = 0.02;
@@ -40,7 +42,7 @@ struct Fit {
     strength: [f64; 3],
     field: FlatField,
     gradient: [f64; 2],
-    covariance: Vec<Vec<f64>>,
+    covariance: DMatrix<f64>,
     chi2: f64,
     freedom: f64,
     /// What each of the higher orders would change at the corner, root of the sum of squares.
@@ -132,12 +134,7 @@ fn geometry(tiles: &Tiles, tile: usize, colour: usize) -> ([f64; 3], [f64; 2]) {
     let reach = tiles.reach(tile);
     let middle: [f64; 2] = [0, 1].map(|a| (reach[a].0 + reach[a].1) as f64 / 2.0 - half[a]);
     let extent: [f64; 2] = [0, 1].map(|a| (reach[a].1 - reach[a].0) as f64 / 2.0);
-    // A colour's sites lie half a site beside the middle of their filter cell, unless they are on its diagonal.
-    let cells = [(0, 0), (0, 1), (1, 0), (1, 1)];
-    let own = cells.into_iter().filter(|&(y, x)| usize::from(tiles.cfa.0[y][x]) == colour);
-    let (n, sum) =
-        own.fold((0.0f64, [0.0; 2]), |(n, [a, b]), (y, x)| (n + 1.0, [a + x as f64, b + y as f64]));
-    let aside = sum.map(|s| s / n.max(1.0) - 0.5);
+    let aside = tiles.cfa.aside(colour);
     let mut powers = [0.0; 3];
     for (u, wu) in POINTS {
         for (v, wv) in POINTS {
@@ -193,10 +190,10 @@ fn solve_model(points: &[Point], colours: &[usize], order: usize, per_channel: b
         let own = || points.iter().filter(|p| p.colour == c);
         x[i] = own().map(|p| p.value).sum::<f64>() / own().count().max(1) as f64;
     }
-    let (mut covariance, mut chi2) = (vec![], 0.0);
+    let (mut covariance, mut chi2) = (DMatrix::zeros(0, 0), 0.0);
     let mut row = vec![0.0; unknowns];
     for round in 0..=ROUNDS {
-        let (mut matrix, mut right) = (vec![vec![0.0; unknowns]; unknowns], vec![0.0; unknowns]);
+        let mut normal = Normal::zero(unknowns);
         chi2 = 0.0;
         for p in points {
             let at = colours.iter().position(|&c| c == p.colour)?;
@@ -210,13 +207,9 @@ fn solve_model(points: &[Point], colours: &[usize], order: usize, per_channel: b
             row[gradient_at + 1] = s * p.place[1];
             let rest = p.value - s * shape;
             chi2 += rest * rest / p.variance;
-            for (i, a) in row.iter().enumerate().filter(|(_, a)| **a != 0.0) {
-                let weighted = a / p.variance;
-                right[i] += weighted * rest;
-                matrix[i].iter_mut().zip(&row).for_each(|(m, b)| *m += weighted * b);
-            }
+            normal.add(&row, rest, p.variance.recip());
         }
-        let (step, inverse) = solve(&matrix, &right)?;
+        let (step, inverse) = normal.solve()?;
         covariance = inverse;
         let moved = x.iter().zip(&step).any(|(x, d)| d.abs() > 1e-10 * (x.abs() + 1e-3));
         if round == ROUNDS || !moved {
@@ -265,20 +258,21 @@ fn told_by(
     colours: &[usize],
 ) -> FlatCalibration {
     let excess = excess(fit);
-    let figure = |value: f64, variance: f64, more: f64| {
-        let half = 1.96 * (variance.max(0.0) * excess + more * more).sqrt();
-        Figure { value, interval_95: [value - half, value + half] }
+    let interval = |value: f64, variance: f64, more: f64| {
+        let half = Z95 * (variance.max(0.0) * excess + more * more).sqrt();
+        [value - half, value + half]
     };
-    let corner = std::array::from_fn(|c| {
+    let corner: [f64; 3] = std::array::from_fn(|c| fit.field.at_q(1.0, c));
+    let corner_interval_95 = std::array::from_fn(|c| {
         let first = place(fit.order, colours, fit.per_channel, c, 0);
         let own = first..first + fit.order;
         let variance = own.clone().flat_map(|i| own.clone().map(move |j| (i, j)));
-        let variance = variance.map(|(i, j)| fit.covariance[i][j]).sum();
-        figure(fit.field.at_q(1.0, c), variance, fit.selection)
+        let variance = variance.map(|(i, j)| fit.covariance[(i, j)]).sum();
+        interval(corner[c], variance, fit.selection)
     });
-    let gradient_at = fit.covariance.len() - 2;
-    let light_gradient =
-        [0, 1].map(|a| figure(fit.gradient[a], fit.covariance[gradient_at + a][gradient_at + a], 0.0));
+    let gradient_at = fit.covariance.nrows() - 2;
+    let light_gradient_interval_95 =
+        [0, 1].map(|a| interval(fit.gradient[a], fit.covariance[(gradient_at + a, gradient_at + a)], 0.0));
     let model = |p: &Point| {
         let [a, b, c] = fit.field.coefficients[p.colour];
         let curve = a * p.powers[0] + b * p.powers[1] + c * p.powers[2];
@@ -286,7 +280,7 @@ fn told_by(
     };
     let squares: f64 = points.iter().map(|p| (p.value / model(p) - 1.0).powi(2)).sum();
     let grid = used.first().map_or((1, 1), |t| t.grid);
-    let (residual_map, residual_map_noise) = map(points, model, grid);
+    let (residual_map, residual_map_standard_error) = map(points, model, grid);
     let slope = |p: &Point| fit.gradient[0] * p.place[0] + fit.gradient[1] * p.place[1];
     let profile = std::array::from_fn(|c| {
         let light = |p: &Point| (p.value / fit.strength[c] - slope(p), p.variance / fit.strength[c].powi(2));
@@ -305,23 +299,26 @@ fn told_by(
         per_channel: fit.per_channel,
         f_values,
         corner,
-        light_gradient,
-        chi2_per_freedom: fit.chi2 / fit.freedom,
+        corner_interval_95,
+        light_gradient: fit.gradient,
+        light_gradient_interval_95,
+        chi_squared: fit.chi2 / fit.freedom,
         residual_rms: (squares / points.len().max(1) as f64).sqrt(),
         residual_map,
-        residual_map_noise,
+        residual_map_standard_error,
         profile,
         frames: used.len(),
-        used: share,
+        used_share: share,
     }
 }
 
 /// Mean distance, light and its standard error of the points in one ring.
-fn ring_mean(points: &[(f64, f64, f64)], ring: usize) -> Option<[f64; 3]> {
+fn ring_mean(points: &[(f64, f64, f64)], ring: usize) -> Option<ProfilePoint> {
     let inside = || points.iter().filter(|p| ((p.0 * RINGS as f64) as usize).min(RINGS - 1) == ring);
     let n = inside().count() as f64;
     let sum = inside().fold([0.0; 3], |[r, v, e], p| [r + p.0, v + p.1, e + p.2]);
-    (n > 0.0).then(|| [sum[0] / n, sum[1] / n, sum[2].sqrt() / n])
+    let [radius, light, light_standard_error] = [sum[0] / n, sum[1] / n, sum[2].sqrt() / n];
+    (n > 0.0).then_some(ProfilePoint { radius, light, light_standard_error })
 }
 
 /// Weighted means of the relative residuals in parts of the frame, and the median of their standard errors.

@@ -43,13 +43,15 @@ pub struct FlatField {
     pub coefficients: [[f64; 3]; 3],
 }
 
-/// A figure with its 95 % interval.
+/// Light around the frame's centre.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Figure {
-    /// The figure.
-    pub value: f64,
-    /// Ends of the interval.
-    pub interval_95: [f64; 2],
+pub struct ProfilePoint {
+    /// Distance from the centre over half the diagonal.
+    pub radius: f64,
+    /// Light over that at the centre.
+    pub light: f64,
+    /// Its standard error.
+    pub light_standard_error: f64,
 }
 
 /// The flat field of one lens at one focal length and aperture.
@@ -70,24 +72,27 @@ pub struct FlatCalibration {
     /// F values of the highest coefficient tried at each order from 3 down to that kept, and of a curve by colour.
     pub f_values: FValues,
     /// Vignetting in the frame's corner, by colour (R, G, B).
-    pub corner: [Figure; 3],
+    pub corner: [f64; 3],
+    /// Its 95 % interval, by colour.
+    pub corner_interval_95: [[f64; 2]; 3],
     /// Slope of the light, relative, from the centre to the right and to the lower edge.
-    pub light_gradient: [Figure; 2],
+    pub light_gradient: [f64; 2],
+    /// Its 95 % interval, for both.
+    pub light_gradient_interval_95: [[f64; 2]; 2],
     /// chi^2 per degree of freedom: 1 where nothing but noise is left.
-    pub chi2_per_freedom: f64,
+    pub chi_squared: f64,
     /// Root mean square of measured / model - 1 over the tiles.
     pub residual_rms: f64,
     /// measured / model - 1 in parts of the frame, row by row from the top; null where over-exposed.
     pub residual_map: Vec<Vec<Option<f64>>>,
-    /// Standard deviation that noise gives a part of the map.
-    pub residual_map_noise: f64,
-    /// Measured relative light around the centre, by colour: distance over half diagonal, light over that at the centre,
-    /// standard error.
-    pub profile: [Vec<[f64; 3]>; 3],
+    /// Standard error that noise gives a part of the map.
+    pub residual_map_standard_error: f64,
+    /// Measured relative light around the centre, by colour.
+    pub profile: [Vec<ProfilePoint>; 3],
     /// Frames that entered.
     pub frames: usize,
     /// Share of tiles and colours that entered, 0 to 1.
-    pub used: f64,
+    pub used_share: f64,
 }
 
 /// What the choice of a model rests on.

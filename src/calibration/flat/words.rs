@@ -1,7 +1,7 @@
 //! What to make of a flat field, in words.
 
-use super::{Figure, FlatCalibration};
-use crate::calibration::Verdict;
+use super::FlatCalibration;
+use crate::calibration::{Verdict, holds};
 
 /// Slope of the light from the centre to an edge from which on it was not even.
 const UNEVEN: f64 = 0.01;
@@ -16,32 +16,32 @@ impl FlatCalibration {
     /// Whether the flat field can be relied on; `left_out` is the number of frames that are not in it.
     pub fn verdict(&self, left_out: usize) -> Verdict {
         let [_, green, _] = self.corner;
-        let widest = self.corner.iter().map(half).fold(0.0, f64::max);
+        let widest = self.corner_interval_95.into_iter().map(half).fold(0.0, f64::max);
         let curves =
             if self.per_channel { "each colour has its own curve" } else { "one curve for all colours" };
         let mut good = widest <= WIDEST;
         let mut sentences = vec![format!(
             "The corner has {:.2} % of the centre's light, known to \u{b1}{:.2} % ({} frames, {curves}).",
-            100.0 * green.value,
-            100.0 * half(&green),
+            100.0 * green,
+            100.0 * half(self.corner_interval_95[1]),
             self.frames,
         )];
         if widest > WIDEST {
             sentences.push("That is too little to rely on: give more or brighter frames.".into());
         }
-        for (slope, [less, more]) in self.light_gradient.iter().zip([["left", "right"], ["top", "bottom"]]) {
-            let sure = slope.interval_95[0] > 0.0 || slope.interval_95[1] < 0.0;
-            if sure && slope.value.abs() > UNEVEN {
+        let slopes = self.light_gradient.into_iter().zip(self.light_gradient_interval_95);
+        for ((slope, interval), [less, more]) in slopes.zip([["left", "right"], ["top", "bottom"]]) {
+            if !holds(interval, 0.0) && slope.abs() > UNEVEN {
                 good = false;
-                let side = if slope.value > 0.0 { more } else { less };
+                let side = if slope > 0.0 { more } else { less };
                 sentences.push(format!(
                     "The light was not even: it grows by {:.1} % from the centre to the {side}. The slope was taken out, but what is bent of it was not; light the surface from farther away, or turn the camera by 180 degrees between frames.",
-                    100.0 * slope.value.abs()
+                    100.0 * slope.abs()
                 ));
             }
         }
         if let Some((row, column, worst)) = self.worst() {
-            if worst.abs() > SPOT.0 && worst.abs() > SPOT.1 * self.residual_map_noise {
+            if worst.abs() > SPOT.0 && worst.abs() > SPOT.1 * self.residual_map_standard_error {
                 let (rows, columns) =
                     (self.residual_map.len(), self.residual_map.first().map_or(0, Vec::len));
                 sentences.push(format!(
@@ -51,7 +51,7 @@ impl FlatCalibration {
                     100.0 * worst
                 ));
             }
-            good &= worst.abs() <= WORST.max(SPOT.1 * self.residual_map_noise);
+            good &= worst.abs() <= WORST.max(SPOT.1 * self.residual_map_standard_error);
         }
         if self.aperture.is_none() || self.focal_length_mm.is_none() {
             sentences.push(
@@ -74,6 +74,6 @@ impl FlatCalibration {
     }
 }
 
-fn half(figure: &Figure) -> f64 {
-    (figure.interval_95[1] - figure.interval_95[0]) / 2.0
+fn half([low, high]: [f64; 2]) -> f64 {
+    (high - low) / 2.0
 }

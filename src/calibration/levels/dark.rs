@@ -2,8 +2,8 @@
 
 use super::histogram::{Centre, Histogram};
 use super::sums::{Four, VALUES, four};
-use crate::calibration::linear::{Z95, t_975};
 use crate::calibration::rounding;
+use crate::calibration::statistics::{Z95, t_975};
 use crate::raster::Image;
 
 /// Standard deviations above the median from which a site is hot: of pure noise, not one in 10^15 sites.
@@ -99,7 +99,7 @@ impl Dark {
         let squares: f64 = self.means.iter().map(|m| (m[position] - mean).powi(2)).sum();
         let (excess, quantile) = match self.frames() {
             0 | 1 => (0.0, 0.0),
-            frames => ((squares / (n - 1.0) / n - of_sites).max(0.0), t_975(frames - 1)),
+            _ => ((squares / (n - 1.0) / n - of_sites).max(0.0), t_975(n - 1.0)),
         };
         let shift = rounding::shift_of(centre.variance);
         let reach = (Z95 * Z95 * of_sites + quantile * quantile * excess).sqrt() + shift;

@@ -81,25 +81,25 @@ pub struct SiteLevels {
     pub black_dn: Option<f64>,
     /// Standard error of `black_dn`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub black_error_dn: Option<f64>,
+    pub black_dn_standard_error: Option<f64>,
     /// Its 95 % interval.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub black_interval_dn: Option<[f64; 2]>,
+    pub black_dn_interval_95: Option<[f64; 2]>,
     /// Mean of the masked border, DN; absent if the files have none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub masked_black_dn: Option<f64>,
     /// Its standard error.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub masked_black_error_dn: Option<f64>,
+    pub masked_black_dn_standard_error: Option<f64>,
     /// Read noise of one frame, DN, rounding taken off; absent without two dark frames, and where rounding hides it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub read_noise_dn: Option<f64>,
     /// Its standard error.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub read_noise_error_dn: Option<f64>,
+    pub read_noise_dn_standard_error: Option<f64>,
     /// Its 95 % interval.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub read_noise_interval_dn: Option<[f64; 2]>,
+    pub read_noise_dn_interval_95: Option<[f64; 2]>,
     /// Upper bound of the read noise, DN, where rounding hides it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub read_noise_below_dn: Option<f64>,
@@ -188,7 +188,7 @@ impl IsoLevels {
     fn words_on_masked(&self) -> Option<String> {
         let apart = |site: &SiteLevels| {
             let (own, masked) = (site.black_dn?, site.masked_black_dn?);
-            let error = site.black_error_dn?.hypot(site.masked_black_error_dn?);
+            let error = site.black_dn_standard_error?.hypot(site.masked_black_dn_standard_error?);
             let part = masked - own;
             (part.abs() > AGREE_DN.max(AGREE_ERRORS * error)).then_some(part)
         };

@@ -3,7 +3,7 @@
 use super::dark::{Dark, Known, ReadNoise};
 use super::histogram::{Centre, Histogram};
 use super::{BlackSource, IsoLevels, SiteLevels};
-use crate::calibration::linear::Z95;
+use crate::calibration::statistics::Z95;
 use crate::codec::raw::Masked;
 use crate::photometry::saturation::{self, NotBlown, Spike};
 use crate::photometry::{Cfa, Mosaic};
@@ -197,13 +197,13 @@ impl IsoSums {
                 column,
                 colour: colour(self.cfa, position).to_owned(),
                 black_dn: black.map(|b| b.value),
-                black_error_dn: black.map(|b| b.error),
-                black_interval_dn: black.map(|b| b.interval),
+                black_dn_standard_error: black.map(|b| b.error),
+                black_dn_interval_95: black.map(|b| b.interval),
                 masked_black_dn: masked[position].map(|m| m.value),
-                masked_black_error_dn: masked[position].map(|m| m.error),
+                masked_black_dn_standard_error: masked[position].map(|m| m.error),
                 read_noise_dn: noise.map(|n| n.value),
-                read_noise_error_dn: noise.map(|n| n.error),
-                read_noise_interval_dn: noise.map(|n| n.interval),
+                read_noise_dn_standard_error: noise.map(|n| n.error),
+                read_noise_dn_interval_95: noise.map(|n| n.interval),
                 read_noise_below_dn: below,
                 saturation_dn: spike.map(|s| s.level.into()),
                 clipped_from_dn: spike.map(|s| s.clipped_from.into()),

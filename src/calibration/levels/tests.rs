@@ -75,12 +75,12 @@ fn black_and_read_noise_of_a_thousand_random_sensors_lie_in_their_intervals() {
             interval.is_some_and(|[low, high]| (low..=high).contains(&truth))
         };
         sites += 1.0;
-        black += usize::from(inside(site.black_interval_dn, truth[0]));
+        black += usize::from(inside(site.black_dn_interval_95, truth[0]));
         match site.read_noise_below_dn {
             Some(bound) => assert!(bound > 0.95 * read && site.read_noise_dn.is_none(), "{read}: {site:?}"),
             None => {
                 told += 1.0;
-                noise += usize::from(inside(site.read_noise_interval_dn, read));
+                noise += usize::from(inside(site.read_noise_dn_interval_95, read));
             }
         }
     }
@@ -103,7 +103,7 @@ fn read_noise_that_rounding_hides_is_bounded_and_not_told() {
     let site = &fit.levels[0].sites[2];
     assert_eq!((site.read_noise_dn, site.read_noise_below_dn), (None, Some(0.4)));
     // The mean of rounded values lies at 2048.16; its interval knows.
-    let [low, high] = site.black_interval_dn.unwrap();
+    let [low, high] = site.black_dn_interval_95.unwrap();
     assert!((low..=high).contains(&2048.3) && high - low < 1.1, "{site:?}");
     assert!(fit.verdict().sentences[0].contains("read noise below 0.40 DN"), "{:?}", fit.verdict());
 }

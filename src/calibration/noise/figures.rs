@@ -3,8 +3,8 @@
 use super::tiles::{PairTiles, Tile};
 use super::transfer::{self, Line, Point};
 use super::{COLOURS, PairResidual};
-use crate::calibration::linear::Z95;
 use crate::calibration::rounding;
+use crate::calibration::statistics::Z95;
 
 /// Share of the range from which tiles tell the fixed pattern.
 const PATTERN_FROM: f64 = 0.1;
@@ -85,7 +85,7 @@ pub(super) fn residuals(pair: &PairTiles, line: &Line) -> Vec<PairResidual> {
             colour: COLOURS[c].to_owned(),
             signal_dn: signal / n,
             variance_dn2: variance / n,
-            variance_error_dn2: squares.sqrt() / n,
+            variance_dn2_standard_error: squares.sqrt() / n,
             model_dn2: line.at(signal / n),
         })
     };

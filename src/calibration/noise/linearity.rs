@@ -81,7 +81,7 @@ pub struct LinearityStep {
     /// Signal over what the line says, less 1.
     pub deviation: f64,
     /// Standard error of `deviation`: noise, black, and how far two frames of one light part.
-    pub deviation_error: f64,
+    pub deviation_standard_error: f64,
 }
 
 /// Why linearity could not be measured.
@@ -196,9 +196,17 @@ pub(super) fn fit(
             (Some(lowest), Some(own)) => Some(lowest.min(own)),
             (either, other) => either.or(other),
         };
-        for (at, ((light, s), (deviation, deviation_error))) in own.iter().zip(deviations).enumerate() {
+        for (at, ((light, s), (deviation, deviation_standard_error))) in
+            own.iter().zip(deviations).enumerate()
+        {
             let colour = COLOURS[c].to_owned();
-            let step = LinearityStep { light: *light, colour, signal_dn: s.mean, deviation, deviation_error };
+            let step = LinearityStep {
+                light: *light,
+                colour,
+                signal_dn: s.mean,
+                deviation,
+                deviation_standard_error,
+            };
             if at < straight && (FROM..=TO).contains(&(s.mean / range[c])) {
                 counting.push((s.mean, deviation));
             }
@@ -316,7 +324,7 @@ mod tests {
             if !bent {
                 for s in fit.steps.iter().filter(|s| s.signal_dn > FROM * RANGE[0]) {
                     all += 1.0;
-                    inside += f64::from(u8::from(s.deviation.abs() < 1.96 * s.deviation_error));
+                    inside += f64::from(u8::from(s.deviation.abs() < 1.96 * s.deviation_standard_error));
                 }
             }
         }

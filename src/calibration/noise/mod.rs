@@ -65,13 +65,13 @@ pub struct IsoNoise {
     /// Electrons per DN, all colours together.
     pub electrons_per_dn: f64,
     /// Its 95 % interval.
-    pub electrons_per_dn_interval: [f64; 2],
+    pub electrons_per_dn_interval_95: [f64; 2],
     /// Read noise in electrons, rounding taken off; absent where rounding hides it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub read_noise_e: Option<f64>,
     /// Its 95 % interval.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub read_noise_e_interval: Option<[f64; 2]>,
+    pub read_noise_e_interval_95: Option<[f64; 2]>,
     /// Upper bound of read noise in electrons, where rounding hides it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub read_noise_below_e: Option<f64>,
@@ -83,7 +83,7 @@ pub struct IsoNoise {
     pub fixed_pattern: Option<f64>,
     /// Its 95 % interval.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub fixed_pattern_interval: Option<[f64; 2]>,
+    pub fixed_pattern_interval_95: Option<[f64; 2]>,
     /// Red, green, blue.
     pub colours: Vec<ColourNoise>,
     /// Where the saturation is from that `full_well_e` rests on.
@@ -117,13 +117,13 @@ pub struct ColourNoise {
     pub electrons_per_dn: Option<f64>,
     /// Its 95 % interval.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub electrons_per_dn_interval: Option<[f64; 2]>,
+    pub electrons_per_dn_interval_95: Option<[f64; 2]>,
     /// Electrons from black to saturation; absent where saturation is but a guess.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full_well_e: Option<f64>,
     /// Its 95 % interval.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub full_well_e_interval: Option<[f64; 2]>,
+    pub full_well_e_interval_95: Option<[f64; 2]>,
 }
 
 /// One colour of one pair of frames.
@@ -136,7 +136,7 @@ pub struct PairResidual {
     /// Mean variance of its tiles, DN^2.
     pub variance_dn2: f64,
     /// Standard error of that.
-    pub variance_error_dn2: f64,
+    pub variance_dn2_standard_error: f64,
     /// What the line says there.
     pub model_dn2: f64,
 }
@@ -239,9 +239,9 @@ pub fn fit(input: &IsoInput) -> Result<IsoNoise, NoTransfer> {
         ColourNoise {
             colour: COLOURS[c].to_owned(),
             electrons_per_dn: own.map(|e| e.0),
-            electrons_per_dn_interval: own.map(|e| e.1),
+            electrons_per_dn_interval_95: own.map(|e| e.1),
             full_well_e: well_known.then_some(well.0 * input.range[c]),
-            full_well_e_interval: well_known.then_some(well.1.map(|e| e * input.range[c])),
+            full_well_e_interval_95: well_known.then_some(well.1.map(|e| e * input.range[c])),
         }
     });
     let linearity = light::linearity(input);
@@ -251,13 +251,13 @@ pub fn fit(input: &IsoInput) -> Result<IsoNoise, NoTransfer> {
         dark_pairs: input.dark.len(),
         model: NoiseModel { gain: line.gain as f32, floor: line.floor.max(rounding::VARIANCE) as f32 },
         electrons_per_dn: electrons.0,
-        electrons_per_dn_interval: electrons.1,
+        electrons_per_dn_interval_95: electrons.1,
         read_noise_e: read.map(|r| r.0),
-        read_noise_e_interval: read.map(|r| r.1),
+        read_noise_e_interval_95: read.map(|r| r.1),
         read_noise_below_e: below,
         read_noise_dn: read.map(|r| r.0 * line.gain),
         fixed_pattern: pattern.and_then(|p| p.0),
-        fixed_pattern_interval: pattern.map(|p| p.1),
+        fixed_pattern_interval_95: pattern.map(|p| p.1),
         colours: colours.collect(),
         saturation_source: input.saturation_source,
         residuals: all.iter().flat_map(|pair| figures::residuals(pair, &line)).collect(),

@@ -61,8 +61,8 @@ fn gain_and_read_noise_of_a_thousand_random_rigs_lie_in_their_intervals() {
         let gain = 0.05 * 40f64.powf(random.random());
         let read = 0.8 * 10f64.powf(random.random());
         let fit = fit(&rig(&mut random, gain, read, number % 2 == 0)).unwrap();
-        gains += inside(fit.electrons_per_dn_interval, 1.0 / gain);
-        if let Some(interval) = fit.read_noise_e_interval {
+        gains += inside(fit.electrons_per_dn_interval_95, 1.0 / gain);
+        if let Some(interval) = fit.read_noise_e_interval_95 {
             told += 1;
             reads += inside(interval, read / gain);
         }
@@ -122,8 +122,8 @@ fn whole_frames_of_random_sensors_tell_gain_and_read_noise() {
     for _ in 0..40 {
         let (gain, read) = (0.1 * 20f64.powf(random.random()), 1.0 + 4.0 * random.random::<f64>());
         let fit = fit(&frames((gain, read, 256.0), &lights, &mut random)).unwrap();
-        gains += inside(fit.electrons_per_dn_interval, 1.0 / gain);
-        reads += inside(fit.read_noise_e_interval.unwrap(), read / gain);
+        gains += inside(fit.electrons_per_dn_interval_95, 1.0 / gain);
+        reads += inside(fit.read_noise_e_interval_95.unwrap(), read / gain);
         assert!((fit.electrons_per_dn * gain - 1.0).abs() < 0.1, "{gain}: {fit:?}");
         assert!(fit.chi_squared < 1.2 && fit.rejected_share < 0.01, "{fit:?}");
     }
@@ -139,7 +139,7 @@ fn noise_that_is_cut_off_at_nought_or_at_the_top_does_not_count() {
     let mut random = ChaCha8Rng::seed_from_u64(31);
     let fit = fit(&frames((12.0, 8.0, 6.0), &[300.0, 900.0, 1800.0, 2700.0, 3400.0], &mut random)).unwrap();
     let gain = 1.0 / fit.electrons_per_dn;
-    assert!((gain / 12.0 - 1.0).abs() < 0.05, "{gain}, {:?}", fit.electrons_per_dn_interval);
+    assert!((gain / 12.0 - 1.0).abs() < 0.05, "{gain}, {:?}", fit.electrons_per_dn_interval_95);
 }
 
 #[test]
@@ -161,7 +161,7 @@ fn figures_verdict_and_model_belong_together() {
     let input = IsoInput { range: [13_000.0; 3], ..rig(&mut random, 0.3, 1.5, true) };
     let noise = fit(&input).unwrap();
     assert!((noise.model.gain * noise.electrons_per_dn as f32 - 1.0).abs() < 1e-5);
-    assert!(noise.fixed_pattern_interval.is_none_or(|[low, _]| low < 0.01));
+    assert!(noise.fixed_pattern_interval_95.is_none_or(|[low, _]| low < 0.01));
     let linearity = noise.linearity.as_ref();
     assert!(linearity.is_none_or(|l| l.linearity_error < 1e-9), "{linearity:?}");
     let model = noise.model;

@@ -1,6 +1,6 @@
 //! Two frames of the same light, reduced to small tiles: what differs between them is noise, what they share is pattern.
 
-use crate::photometry::Mosaic;
+use crate::photometry::{Cfa, Mosaic};
 
 /// Sites per edge of the smallest tile; even, so that every tile holds whole filter cells.
 const TILE: usize = 16;
@@ -69,7 +69,7 @@ pub fn compare(first: &Mosaic, second: &Mosaic, black: [[f64; 2]; 2]) -> Result<
     let mut tiles = vec![];
     for y in (0..(height + 1).saturating_sub(edge)).step_by(edge) {
         for x in (0..(width + 1).saturating_sub(edge)).step_by(edge) {
-            for position in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            for position in Cfa::POSITIONS {
                 tiles.extend(tile(first, second, (x, y), edge, position, black));
             }
         }
@@ -168,7 +168,7 @@ fn signals(first: &Mosaic, second: &Mosaic, black: [[f64; 2]; 2], tiles: &[Tile]
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::photometry::{Cfa, LevelSource, Levels};
+    use crate::photometry::{LevelSource, Levels};
     use crate::raster::Image;
     use rand::SeedableRng;
     use rand_distr::{Distribution, Normal, Poisson};

@@ -6,7 +6,7 @@
 //! until it stands; points further than six standard deviations from the line (something moved, a lamp flickered) drop
 //! out and are counted.
 
-use crate::calibration::linear;
+use crate::calibration::linear::Normal;
 
 /// Standard deviations from the line beyond which a point is left out.
 const REJECT: f64 = 6.0;
@@ -101,22 +101,17 @@ fn medians(points: &[Point]) -> Vec<f64> {
 
 /// Weighted least squares with the weights of a model.
 fn solve(points: &[Point], model: &[f64]) -> Option<Line> {
-    let (mut s, mut sx, mut sxx, mut sy, mut sxy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    let mut normal = Normal::zero(2);
     for (p, &m) in points.iter().zip(model).filter(|(p, m)| fits(p, **m)) {
-        let w = p.freedom / (2.0 * m * m);
-        s += w;
-        sx += w * p.signal;
-        sxx += w * p.signal * p.signal;
-        sy += w * p.variance;
-        sxy += w * p.signal * p.variance;
+        normal.add(&[p.signal, 1.0], p.variance, p.freedom / (2.0 * m * m));
     }
-    let (solution, covariance) = linear::solve(&[vec![sxx, sx], vec![sx, s]], &[sxy, sy])?;
+    let (solution, covariance) = normal.solve()?;
     Some(Line {
         gain: solution[0],
         floor: solution[1],
-        of_gain: covariance[0][0],
-        of_floor: covariance[1][1],
-        covariance: covariance[0][1],
+        of_gain: covariance[(0, 0)],
+        of_floor: covariance[(1, 1)],
+        covariance: covariance[(0, 1)],
         chi_squared: 0.0,
         rejected: 0.0,
     })

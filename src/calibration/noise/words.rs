@@ -23,15 +23,15 @@ impl NoiseFit {
 
 impl IsoNoise {
     fn is_good(&self) -> bool {
-        let [low, high] = self.electrons_per_dn_interval;
+        let [low, high] = self.electrons_per_dn_interval_95;
         high - low <= 2.0 * SURE * self.electrons_per_dn
             && self.chi_squared <= MOST_SCATTER
             && self.rejected_share <= MOST_REJECTED
     }
 
     fn words(&self) -> Vec<String> {
-        let [low, high] = self.electrons_per_dn_interval;
-        let read = match (self.read_noise_e, self.read_noise_e_interval) {
+        let [low, high] = self.electrons_per_dn_interval_95;
+        let read = match (self.read_noise_e, self.read_noise_e_interval_95) {
             (Some(value), Some([low, high])) => {
                 format!("read noise is {value:.2} electrons (95 %: {low:.2} to {high:.2})")
             }

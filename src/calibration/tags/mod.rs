@@ -60,9 +60,9 @@ pub struct CardPose {
     /// Distance from the lens's centre of projection along its axis, metres.
     pub distance_m: f64,
     /// Standard error of it, from the picture alone: a wrong tag size or focal length scales the distance and is not in it.
-    pub distance_error_m: f64,
+    pub distance_m_standard_error: f64,
     /// Root mean square angle between the normal found and the true one, radians.
-    pub normal_error_rad: f64,
+    pub normal_rad_standard_error: f64,
     /// Root mean square distance of the sides' points from the fit, pixels of the frame.
     pub rms_px: f64,
     /// Side of the black squares that was given, metres.
@@ -140,16 +140,14 @@ impl Grey {
     /// Of a frame; `None` if its filter array has no green or it is too small.
     pub fn of(frame: &Mosaic) -> Option<Self> {
         let (width, height) = (frame.dn.width() / SITES, frame.dn.height() / SITES);
-        let places = [(0, 0), (1, 0), (0, 1), (1, 1)];
-        let green: Vec<(usize, usize)> =
-            places.into_iter().filter(|(x, y)| frame.cfa.colour(*x, *y) == 1).collect();
-        let range = |(x, y): &(usize, usize)| frame.levels.saturation[*y][*x] - frame.levels.black[*y][*x];
+        let green: Vec<(usize, usize)> = frame.cfa.positions(1).collect();
+        let range = |(y, x): &(usize, usize)| frame.levels.saturation[*y][*x] - frame.levels.black[*y][*x];
         let top = green.iter().map(range).fold(f32::INFINITY, f32::min);
         if width * height == 0 || green.is_empty() || !top.is_finite() {
             return None;
         }
         let image = Image::from_fn(width, height, |x, y| {
-            let value = |(i, j): &(usize, usize)| linear(frame, SITES * x + i, SITES * y + j).unwrap_or(top);
+            let value = |(j, i): &(usize, usize)| linear(frame, SITES * x + i, SITES * y + j).unwrap_or(top);
             [green.iter().map(value).sum::<f32>() / green.len() as f32]
         });
         Some(Self { image, ceiling: NEAR_CLIP * top })
@@ -209,8 +207,8 @@ pub fn card_pose(
     Ok(CardPose {
         plane: fit.plane,
         distance_m: fit.plane.distance(),
-        distance_error_m: fit.distance_error,
-        normal_error_rad: fit.normal_error,
+        distance_m_standard_error: fit.distance_error,
+        normal_rad_standard_error: fit.normal_error,
         rms_px: fit.rms,
         tag_size_m: size_m,
         tags: tags.collect(),

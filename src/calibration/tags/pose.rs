@@ -10,9 +10,10 @@
 
 use super::TagError;
 use crate::calibration::Plane;
-use crate::calibration::linear::solve;
+use crate::calibration::linear::{Normal, inverse};
 use crate::scene::Intrinsics;
 use glam::{DVec2, DVec3};
+use nalgebra::{DMatrix, DVector, Vector3};
 
 /// Standard error of a whole side by what is not noise: sampling, light that falls off across it. Pixels of the frame.
 const SIDE_ERROR: f64 = 0.005;
@@ -190,19 +191,17 @@ impl Search<'_> {
             let choose = |minima: &[Minimum]| if best { 0 } else { minima.len().saturating_sub(1) };
             let picked: Vec<&Minimum> = own.iter().map(|m| m.get(choose(m))).collect::<Option<_>>()?;
             // The plane through their corners.
-            let (mut a, mut b) = (vec![vec![0.0; 3]; 3], vec![0.0; 3]);
+            let mut plane = Normal::zero(3);
             for (t, minimum) in picked.iter().enumerate() {
                 let alone = Search { squares: &self.squares[t..=t], ..*self };
                 let place = alone.place(&minimum.theta, 0);
                 for (x, y) in [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)] {
-                    let p = (place.centre + self.size * (x * place.axes[0] + y * place.axes[1])).to_array();
-                    for i in 0..3 {
-                        b[i] += p[i];
-                        (0..3).for_each(|j| a[i][j] += p[i] * p[j]);
-                    }
+                    let p = place.centre + self.size * (x * place.axes[0] + y * place.axes[1]);
+                    plane.add(&p.to_array(), 1.0, 1.0);
                 }
             }
-            let (mut theta, _) = solve(&a, &b)?;
+            let (plane, _) = plane.solve()?;
+            let mut theta = plane.as_slice().to_vec();
             picked.iter().for_each(|m| theta.extend(&m.theta[3..]));
             self.refine(theta)
         });
@@ -265,43 +264,37 @@ impl Search<'_> {
         Some(residuals.iter().zip(used).filter(|(_, u)| **u).map(|(r, _)| r * r).sum())
     }
 
-    /// Rows of the Jacobian, by differences.
-    fn slopes(&self, theta: &[f64]) -> Option<Vec<Vec<f64>>> {
+    /// Derivatives of the residuals by differences, a column each unknown; 0 of points that do not count.
+    fn slopes(&self, theta: &[f64], used: &[bool]) -> Option<DMatrix<f64>> {
         let scale = DVec3::new(theta[0], theta[1], theta[2]).length();
-        (0..theta.len())
-            .map(|i| {
-                let step = 1e-6 * if i < 3 { scale } else { 1.0 };
-                let shifted = |by: f64| {
-                    let mut theta = theta.to_vec();
-                    theta[i] += by;
-                    self.residuals(&theta)
-                };
-                let (high, low) = (shifted(step)?, shifted(-step)?);
-                Some(high.iter().zip(&low).map(|(h, l)| (h - l) / (2.0 * step)).collect())
-            })
-            .collect()
+        let mut slopes = DMatrix::zeros(used.len(), theta.len());
+        for (i, mut column) in slopes.column_iter_mut().enumerate() {
+            let step = 1e-6 * if i < 3 { scale } else { 1.0 };
+            let shifted = |by: f64| {
+                let mut theta = theta.to_vec();
+                theta[i] += by;
+                self.residuals(&theta)
+            };
+            let (high, low) = (shifted(step)?, shifted(-step)?);
+            for (k, slope) in column.iter_mut().enumerate().filter(|(k, _)| used[*k]) {
+                *slope = (high[k] - low[k]) / (2.0 * step);
+            }
+        }
+        Some(slopes)
     }
 
-    /// Normal equations: the matrix and the right side.
-    fn normal(&self, theta: &[f64], used: &[bool]) -> Option<(Vec<Vec<f64>>, Vec<f64>)> {
-        let (slopes, residuals) = (self.slopes(theta)?, self.residuals(theta)?);
-        let product = |a: &[f64], b: &[f64]| {
-            a.iter().zip(b).zip(used).filter(|(_, u)| **u).map(|((a, b), _)| a * b).sum::<f64>()
-        };
-        let matrix = slopes.iter().map(|a| slopes.iter().map(|b| product(a, b)).collect()).collect();
-        Some((matrix, slopes.iter().map(|a| -product(a, &residuals)).collect()))
+    fn normal(&self, theta: &[f64], used: &[bool]) -> Option<Normal> {
+        Some(Normal::of(&self.slopes(theta, used)?, &DVector::from_vec(self.residuals(theta)?)))
     }
 
     fn descend(&self, mut theta: Vec<f64>, used: &[bool]) -> Option<Vec<f64>> {
         let (mut damping, mut best) = (1e-3, self.sum(&theta, used)?);
         for _ in 0..MOST_STEPS {
-            let (matrix, right) = self.normal(&theta, used)?;
+            let normal = self.normal(&theta, used)?;
             let mut moved = false;
             while damping < 1e8 {
-                let mut damped = matrix.clone();
-                (0..damped.len()).for_each(|i| damped[i][i] *= 1.0 + damping);
-                let step = solve(&damped, &right).map(|(step, _)| step);
-                let next = step.map(|s| theta.iter().zip(s).map(|(t, s)| t + s).collect::<Vec<_>>());
+                let step = normal.damped(damping).solve().map(|(step, _)| step);
+                let next = step.map(|s| theta.iter().zip(&s).map(|(t, s)| t - s).collect::<Vec<_>>());
                 let after = next.as_ref().and_then(|next| self.sum(next, used));
                 if let (Some(next), Some(after)) = (next, after)
                     && after <= best
@@ -321,20 +314,12 @@ impl Search<'_> {
 
     /// Standard error of the distance, and root mean square angle of the normal.
     fn errors(&self, minimum: &Minimum, sigma: f64) -> Option<(f64, f64)> {
-        let (matrix, right) = self.normal(&minimum.theta, &minimum.used)?;
-        let (_, inverse) = solve(&matrix, &right)?;
-        let n = inverse.len();
-        let mut covariance: Vec<Vec<f64>> =
-            inverse.iter().map(|row| row.iter().map(|v| v * sigma * sigma).collect()).collect();
-        let slopes = self.slopes(&minimum.theta)?;
+        let slopes = self.slopes(&minimum.theta, &minimum.used)?;
+        let inverse = inverse(&slopes.tr_mul(&slopes))?;
+        let mut covariance = &inverse * (sigma * sigma);
         let mut add = |points: std::ops::Range<usize>, error: f64| {
-            let used = |row: &Vec<f64>| points.clone().filter(|i| minimum.used[*i]).map(|i| row[i]).sum();
-            let pull: Vec<f64> = slopes.iter().map(used).collect();
-            let shift: Vec<f64> =
-                inverse.iter().map(|row| row.iter().zip(&pull).map(|(a, b)| error * a * b).sum()).collect();
-            for i in 0..n {
-                (0..n).for_each(|j| covariance[i][j] += shift[i] * shift[j]);
-            }
+            let shift = &inverse * slopes.rows_range(points).row_sum_tr();
+            covariance.ger(error * error, &shift, &shift, 1.0);
         };
         // What the points of a side have in common, and what all have.
         let mut first = 0;
@@ -344,13 +329,11 @@ impl Search<'_> {
         }
         add(0..first, GROWTH_ERROR);
         let u = minimum.u();
-        let distance = covariance[2][2].max(0.0).sqrt() / (u.z * u.z);
+        let distance = covariance[(2, 2)].max(0.0).sqrt() / (u.z * u.z);
         // The part of u across itself turns the normal.
-        let away = u.normalize().to_array();
-        let along: f64 =
-            (0..3).map(|i| (0..3).map(|j| away[i] * covariance[i][j] * away[j]).sum::<f64>()).sum();
-        let trace: f64 = (0..3).map(|i| covariance[i][i]).sum();
-        let normal = (trace - along).max(0.0).sqrt() / u.length();
+        let (away, of_u) = (Vector3::from(u.normalize().to_array()), covariance.fixed_view::<3, 3>(0, 0));
+        let along = away.dot(&(of_u * away));
+        let normal = (of_u.trace() - along).max(0.0).sqrt() / u.length();
         (distance.is_finite() && normal.is_finite()).then_some((distance, normal))
     }
 }

@@ -7,7 +7,7 @@
 //! the first points, which the lens's distortion may ask for.
 
 use super::{Grey, TagError};
-use crate::calibration::linear::solve;
+use crate::calibration::linear::Normal;
 use crate::codec::apriltag::Tag;
 use crate::raster::sample::bilinear;
 use glam::DVec2;
@@ -113,16 +113,12 @@ fn crossing(grey: &Grey, middle: DVec2, outward: DVec2, reach: f64) -> Crossing 
 
 /// The parabola through points by least squares.
 fn parabola(points: &[(f64, f64)]) -> Option<impl Fn(f64) -> f64 + use<>> {
-    let (mut a, mut b) = (vec![vec![0.0; 3]; 3], vec![0.0; 3]);
+    let mut normal = Normal::zero(3);
     for (s, off) in points {
         let t = s - 0.5;
-        let row = [1.0, t, t * t];
-        for i in 0..3 {
-            b[i] += row[i] * off;
-            (0..3).for_each(|j| a[i][j] += row[i] * row[j]);
-        }
+        normal.add(&[1.0, t, t * t], *off, 1.0);
     }
-    let (x, _) = solve(&a, &b)?;
+    let (x, _) = normal.solve()?;
     Some(move |s: f64| {
         let t = s - 0.5;
         x[0] + t * (x[1] + t * x[2])

@@ -138,10 +138,14 @@ fn one_tag_runs(seed: u64, runs: usize) -> (Vec<f64>, Vec<f64>) {
         assert_eq!(pose.other, None, "run {run}");
         assert!((pose.distance_m / truth.distance() - 1.0).abs() < 0.002, "run {run}: {pose:?}");
         turned.push(angle.to_degrees());
-        assert!(angle < 4.5 * pose.normal_error_rad, "run {run}: {angle} {}", pose.normal_error_rad);
+        assert!(
+            angle < 4.5 * pose.normal_rad_standard_error,
+            "run {run}: {angle} {}",
+            pose.normal_rad_standard_error
+        );
         // The upright tag's rows, as it was turned.
         assert!(between(pose.tags[0].axes[0], scene.pose.matrix3.x_axis) < 0.02, "run {run}");
-        (pose.distance_m - truth.distance()) / pose.distance_error_m
+        (pose.distance_m - truth.distance()) / pose.distance_m_standard_error
     };
     let off = (0..runs).map(one).collect();
     (off, turned)

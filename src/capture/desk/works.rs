@@ -3,6 +3,7 @@
 use super::calibration::checked_distance;
 use super::error::{DeskError, JobError};
 use super::{Desk, FlashCard, FlashOrder, SceneFiles};
+use crate::calibration::FEWEST_SHOTS;
 use crate::calibration::guide::Kind;
 use crate::capture::card::calibration_shots;
 use crate::capture::error::CaptureError;
@@ -13,7 +14,6 @@ use crate::capture::repeat::words_on_repeatability;
 use crate::capture::thumbnail::{self, ThumbnailError};
 use crate::capture::wish::PairWish;
 use crate::jobs::{Job, Lane, Order, Work, WorkError};
-use crate::pair::energy::FEWEST_SHOTS;
 use crate::pair::{Exposure, PairRecord, Plan, Verdict};
 use crate::pipeline::calibrate::waiting;
 use crate::progress::Progress;
@@ -136,13 +136,13 @@ impl Desk {
             let run = desk.0.engine.repeatability(&session, shots, progress)?;
             Ok(json!({
                 "words": words_on_repeatability(&run),
-                "shots": run.shots.len(),
-                "spread": run.spread,
-                "spread_error": run.spread_error,
-                "corrected": run.corrected,
-                "corrected_error": run.corrected_error,
-                "sensor_noise": run.sensor_noise,
-                "reading_noise": run.reading_noise,
+                "shots": run.frames.len(),
+                "spread": run.light_deviation,
+                "spread_error": run.standard_error(run.light_deviation),
+                "corrected": run.light_by_energy_deviation,
+                "corrected_error": run.light_by_energy_deviation.map(|by_energy| run.standard_error(by_energy)),
+                "sensor_noise": run.sensor_deviation,
+                "reading_noise": run.reading_deviation,
             }))
         })
     }

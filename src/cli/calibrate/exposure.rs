@@ -52,7 +52,7 @@ fn human(fit: &ExposureFit) -> String {
             "\u{b1} (95 %)"
         );
         for step in &ladder.steps {
-            let half = (step.deviation_95[1] - step.deviation_95[0]) / 2.0;
+            let half = (step.deviation_interval_95[1] - step.deviation_interval_95[0]) / 2.0;
             text += &format!(
                 "{:<10}{:>5}{:>10.4}{:>10.4}{:>+10.3} %{:>10.3} %\n",
                 ladder.setting.words(step.label),

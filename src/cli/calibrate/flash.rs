@@ -1,6 +1,6 @@
 //! `unlit calibrate flash`, and `unlit calibrate repeatability` from frames.
 
-use crate::calibration::{FieldFactor, FlashCalibration, Interval, Plane, Record, Target, Verdict};
+use crate::calibration::{FieldFactor, FlashCalibration, Plane, Record, Target, Verdict};
 use crate::cli::lighting::LightingArgs;
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pipeline::card_tags::TagFacts;
@@ -180,19 +180,17 @@ fn tell(record: &Record<FlashCalibration>) {
         "card shot", "distance", "flash gain", "residual", "prediction", "clipped"
     );
     for card in &fit.cards {
-        let (gain, rms) = match card.gain > 0.0 {
-            true => (format!("{:.4}", card.gain), format!("{:.2} %", 100.0 * card.rms)),
-            false => ("left out".into(), String::new()),
-        };
+        let gain = card.gain.map_or_else(|| "left out".into(), |gain| format!("{gain:.4}"));
+        let rms = card.residual_rms.map_or_else(String::new, |rms| format!("{:.2} %", 100.0 * rms));
         let off = card.prediction_error.map_or_else(String::new, |e| format!("{:+.2} %", 100.0 * e));
         let mark = if card.held_out { "  kept from the fit" } else { "" };
-        let (distance, clipped) = (card.distance, 100.0 * card.clipped);
+        let (distance, clipped) = (card.distance_m, 100.0 * card.clipped_share);
         println!("{:<28}{distance:>8.3} m{gain:>12}{rms:>12}{off:>12}{clipped:>8.1} %{mark}", card.label);
     }
-    let [r, g, b] = fit.radiance;
+    let [r, g, b] = fit.radiance_dn;
     println!("radiance of the ring: {r:.0} {g:.0} {b:.0} DN (R G B)");
-    if let Some(found) = fit.findings.radiance_dn {
-        let ends = found.map(|Interval { low, high, .. }| format!("{low:.0} to {high:.0}"));
+    if let Some(intervals) = fit.radiance_dn_interval_95 {
+        let ends = intervals.map(|[low, high]| format!("{low:.0} to {high:.0}"));
         println!("95 % intervals:       {} DN", ends.join(", "));
     }
     let [a1, a2, a3] = fit.field.coefficients;
@@ -200,7 +198,7 @@ fn tell(record: &Record<FlashCalibration>) {
     println!("{field}: 1 {a1:+.4} q {a2:+.4} q^2 {a3:+.4} q^3, q = (r / half diagonal)^2");
     println!("flash's jitter: {:.2} %", 100.0 * fit.findings.jitter_deviation);
     println!("noise: variance = {:.4} DN * signal + {:.2} DN^2", fit.noise.gain, fit.noise.floor);
-    println!("residual over all shots: {:.2} %", 100.0 * fit.rms);
+    println!("residual over all shots: {:.2} %", 100.0 * fit.residual_rms);
 }
 
 /// A frame, and after the last equals sign its energy.

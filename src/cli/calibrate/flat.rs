@@ -1,7 +1,7 @@
 //! `unlit calibrate flat`: vignetting and flat field.
 
 use super::{print_json, print_verdict};
-use crate::calibration::flat::{Figure, FlatCalibration};
+use crate::calibration::flat::FlatCalibration;
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pipeline::calibrate::flat::calibrate;
 use std::path::PathBuf;
@@ -40,29 +40,28 @@ pub(super) fn run(args: &FlatArgs) -> CliResult {
 
 fn human(fit: &FlatCalibration) -> String {
     let mut text = String::new();
-    let half = |f: &Figure| (f.interval_95[1] - f.interval_95[0]) / 2.0;
+    let half = |[low, high]: [f64; 2]| (high - low) / 2.0;
     text += &format!("{:<8}{:>10}{:>10}{:>10}{:>12}{:>10}\n", "", "a1", "a2", "a3", "corner", "95 %");
-    for ((name, [a, b, c]), corner) in
-        ["red", "green", "blue"].into_iter().zip(fit.vignetting.coefficients).zip(&fit.corner)
-    {
+    for (colour, name) in ["red", "green", "blue"].into_iter().enumerate() {
+        let [a, b, c] = fit.vignetting.coefficients[colour];
         text += &format!(
             "{name:<8}{a:>+10.4}{b:>+10.4}{c:>+10.4}{:>12.5}  \u{b1}{:.5}\n",
-            corner.value,
-            half(corner)
+            fit.corner[colour],
+            half(fit.corner_interval_95[colour])
         );
     }
     text += "vignetting: 1 + a1 q + a2 q^2 + a3 q^3, q = (r / half diagonal)^2\n";
     let [across, down] = fit.light_gradient;
     text += &format!(
         "slope of the light from the centre to the edge: {:+.3} % across, {:+.3} % down (\u{b1}{:.3} %)\n",
-        100.0 * across.value,
-        100.0 * down.value,
-        100.0 * half(&across).max(half(&down))
+        100.0 * across,
+        100.0 * down,
+        100.0 * fit.light_gradient_interval_95.into_iter().map(half).fold(0.0, f64::max)
     );
     text += &format!(
         "residual {:.3} % over the tiles, chi^2 per degree of freedom {:.2}\n",
         100.0 * fit.residual_rms,
-        fit.chi2_per_freedom
+        fit.chi_squared
     );
     text
 }

@@ -36,8 +36,8 @@ pub(super) fn run(args: &LevelsArgs) -> CliResult {
         "{:<10}{:<10}{:>22}{:>20}{:>14}{:>14}",
         "ISO", "site", "black", "read noise", "saturation", "clipped from"
     );
-    let with_error = |value: Option<f64>, error: Option<f64>| match (value, error) {
-        (Some(value), Some(error)) => format!("{value:.3} +- {error:.3}"),
+    let within = |value: Option<f64>, interval: Option<[f64; 2]>| match (value, interval) {
+        (Some(value), Some([low, high])) => format!("{value:.3} \u{b1}{:.3}", (high - low) / 2.0),
         _ => "-".to_owned(),
     };
     let whole = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.0}"));
@@ -48,8 +48,8 @@ pub(super) fn run(args: &LevelsArgs) -> CliResult {
                 "{:<10}{:<10}{:>22}{:>20}{:>14}{:>14}",
                 levels.iso.0,
                 format!("{colour} {row}{column}"),
-                with_error(site.black_dn, site.black_error_dn),
-                with_error(site.read_noise_dn, site.read_noise_error_dn),
+                within(site.black_dn, site.black_dn_interval_95),
+                within(site.read_noise_dn, site.read_noise_dn_interval_95),
                 whole(site.saturation_dn),
                 whole(site.clipped_from_dn),
             );
@@ -58,6 +58,6 @@ pub(super) fn run(args: &LevelsArgs) -> CliResult {
             println!("{:<10}{hot} hot sites", "");
         }
     }
-    println!("All in DN; errors are standard errors.");
+    println!("All in DN; \u{b1} is half of the 95 % interval.");
     Ok(Exit::Success)
 }

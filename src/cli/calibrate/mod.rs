@@ -118,14 +118,7 @@ fn repeatability(args: &RepeatabilityArgs) -> CliResult {
     bar.finish_and_clear();
     let result = result.map_err(CliError::new)?;
     println!("{}", words_on_repeatability(&result));
-    let percent = |part: f64| format!("{:.3} %", 100.0 * part);
-    println!(
-        "standard errors {} and {}; the sensor's noise is {} of both; measured energies: {}",
-        percent(result.spread_error),
-        percent(result.corrected_error),
-        percent(result.sensor_noise),
-        percent(result.energy_spread)
-    );
+    result.verdict().sentences.iter().for_each(|sentence| println!("{sentence}"));
     Ok(Exit::Success)
 }
 

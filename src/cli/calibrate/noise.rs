@@ -48,12 +48,12 @@ fn print(noise: &IsoNoise) {
     println!(
         "  electrons per DN  {:.4} {}",
         noise.electrons_per_dn,
-        interval(noise.electrons_per_dn_interval, 4)
+        interval(noise.electrons_per_dn_interval_95, 4)
     );
-    if let (Some(value), Some(range)) = (noise.read_noise_e, noise.read_noise_e_interval) {
+    if let (Some(value), Some(range)) = (noise.read_noise_e, noise.read_noise_e_interval_95) {
         println!("  read noise        {value:.2} e {}", interval(range, 2));
     }
-    if let (Some(value), Some(range)) = (noise.fixed_pattern, noise.fixed_pattern_interval) {
+    if let (Some(value), Some(range)) = (noise.fixed_pattern, noise.fixed_pattern_interval_95) {
         println!("  fixed pattern     {:.3} % {}", 100.0 * value, interval(range.map(|v| 100.0 * v), 3));
     }
     println!("  {:<8}{:>18}{:>16}", "", "electrons per DN", "full well, e");
@@ -71,7 +71,7 @@ fn print(noise: &IsoNoise) {
                 step.colour,
                 step.signal_dn,
                 100.0 * step.deviation,
-                196.0 * step.deviation_error
+                196.0 * step.deviation_standard_error
             );
         }
     }

@@ -1,5 +1,5 @@
-//! How much light the flash gave, pair by pair: what the photodiode's readings are worth, how they change over a
-//! session, and how steady the known light is before and after they are divided out.
+//! How much light the flash gave, pair by pair: what the photodiode's readings are worth, and how they change over a
+//! session.
 //!
 //! A reading `e` is the sum of the samples of one window less the dark level times their number, in counts of the
 //! controller's converter. Its error does not depend on the pulse (sampling noise, the dark level's own error, what
@@ -8,11 +8,8 @@
 //! divided by `g` is what a flash of the reference energy would have given.
 
 mod fit;
-mod repeat;
 mod trend;
 
-pub(crate) use repeat::FEWEST_SHOTS;
-pub use repeat::{RepeatError, RepeatShot, Repeatability, repeatability};
 pub use trend::{Advice, AdviceCode, Trend, TrendPulse, trend};
 
 use super::{FlashRecord, FlashSync};

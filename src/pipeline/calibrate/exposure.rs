@@ -70,7 +70,7 @@ pub fn load(session: &Session) -> Result<Option<Record<ExposureFit>>, RecordErro
 pub(super) fn figure(fit: &ExposureFit) -> Chart {
     let series = fit.ladders.iter().map(|ladder| {
         let points = ladder.steps.iter().map(|step| {
-            let half = (step.deviation_95[1] - step.deviation_95[0]) / 2.0;
+            let half = (step.deviation_interval_95[1] - step.deviation_interval_95[0]) / 2.0;
             (step.step_thirds, 100.0 * step.deviation, 100.0 * half)
         });
         Points { name: ladder.setting.name().into(), points: points.collect() }

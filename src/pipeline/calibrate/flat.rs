@@ -3,6 +3,7 @@
 use super::{RecordError, Series, SeriesError, load as load_record};
 use crate::calibration::Record;
 use crate::calibration::flat::{FlatCalibration, FlatFitError, fit_flat};
+use crate::calibration::statistics::Z95;
 use crate::calibration::tiles::{EvenFrame, Tiles, TooSmall};
 use crate::export::chart::{Chart, Series as Points};
 use crate::progress::Progress;
@@ -67,7 +68,7 @@ pub(super) fn figure(fit: &FlatCalibration) -> Chart {
     let named = ["red", "green", "blue"].into_iter().zip(&fit.profile).filter(|(_, rings)| !rings.is_empty());
     let series = named.map(|(name, rings)| Points {
         name: name.into(),
-        points: rings.iter().map(|[r, light, error]| (*r, *light, 1.96 * error)).collect(),
+        points: rings.iter().map(|p| (p.radius, p.light, Z95 * p.light_standard_error)).collect(),
     });
     Chart {
         caption: "Light around the frame's centre, with its 95 % interval: vignetting.".into(),

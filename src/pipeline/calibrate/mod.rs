@@ -333,9 +333,10 @@ pub(super) fn load<T: DeserializeOwned>(
     };
     let damaged = |e: serde_json::Error| RecordError::Damaged { path: path.clone(), reason: e.to_string() };
     let Form { schema } = serde_json::from_slice(&bytes).map_err(damaged)?;
-    let found = schema.ok_or_else(|| RecordError::Older(path.clone()))?;
-    if found > SCHEMA {
-        return Err(RecordError::TooNew { path, found });
+    match schema {
+        Some(SCHEMA) => {}
+        Some(found) if found > SCHEMA => return Err(RecordError::TooNew { path, found }),
+        _ => return Err(RecordError::Older(path)),
     }
     serde_json::from_slice(&bytes).map(Some).map_err(damaged)
 }

@@ -276,7 +276,7 @@ fn figure(fit: &NoiseFit, verdict: &Verdict) -> Chart {
         let own = first.into_iter().flat_map(|noise| &noise.residuals).filter(|r| r.colour == colour);
         chart::Series {
             name: colour.to_owned(),
-            points: own.map(|r| (r.signal_dn, r.variance_dn2, r.variance_error_dn2)).collect(),
+            points: own.map(|r| (r.signal_dn, r.variance_dn2, r.variance_dn2_standard_error)).collect(),
         }
     });
     let at = first.map_or_else(String::new, |noise| format!(" at {}", noise.iso));
@@ -291,6 +291,7 @@ fn figure(fit: &NoiseFit, verdict: &Verdict) -> Chart {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::calibration::SCHEMA;
     use serde_json::json;
 
     fn of_model(model: &str, iso: f64) -> Settings {
@@ -299,11 +300,11 @@ mod tests {
 
     fn keep(session: &Session, good: bool) {
         let record = json!({
-            "schema": 1, "measured": "", "software": "", "rig": { "model": "A" }, "shots": [],
+            "schema": SCHEMA, "measured": "", "software": "", "rig": { "model": "A" }, "shots": [],
             "verdict": { "good": good, "sentences": [] },
             "noise": [{
-                "iso": 100.0, "pairs": 8, "dark_pairs": 2, "model": { "gain": 0.25, "floor": 2.0 },
-                "electrons_per_dn": 4.0, "electrons_per_dn_interval": [3.9, 4.1], "colours": [],
+                "iso": 100.0, "pairs": 8, "dark_pairs": 2, "model": { "gain_dn": 0.25, "floor_dn2": 2.0 },
+                "electrons_per_dn": 4.0, "electrons_per_dn_interval_95": [3.9, 4.1], "colours": [],
                 "saturation_source": "measured", "residuals": [], "chi_squared": 1.0, "rejected_share": 0.0,
                 "colours_apart_in_errors": 0.0
             }]

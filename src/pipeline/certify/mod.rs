@@ -29,7 +29,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// Form of the certificates that this program writes.
-pub const SCHEMA: u32 = 1;
+pub const SCHEMA: u32 = 2;
 
 /// Why there is no certificate.
 #[derive(Debug, thiserror::Error)]
@@ -93,6 +93,17 @@ pub enum CertificateError {
         path: PathBuf,
         /// The system's own word.
         source: std::io::Error,
+    },
+    /// It is of an earlier program.
+    #[error("{} was written by an earlier version of unlit, in a form that is not read any more: certify again, or remove it", .0.display())]
+    Older(PathBuf),
+    /// It is of a later program.
+    #[error("{} was written by a later version of unlit (form {found}, this program knows {SCHEMA}): update unlit", path.display())]
+    TooNew {
+        /// The file.
+        path: PathBuf,
+        /// Its form.
+        found: u32,
     },
     /// It is broken.
     #[error("{} is damaged ({reason}): certify again, or remove it", path.display())]
@@ -283,8 +294,18 @@ impl Standing {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
             read => read.map_err(|source| CertificateError::Io { path: path.clone(), source })?,
         };
-        let certificate: Certificate = serde_json::from_slice(&bytes)
-            .map_err(|e| CertificateError::Damaged { path, reason: e.to_string() })?;
+        #[derive(Deserialize)]
+        struct Form {
+            schema: u32,
+        }
+        let damaged =
+            |e: serde_json::Error| CertificateError::Damaged { path: path.clone(), reason: e.to_string() };
+        match serde_json::from_slice::<Form>(&bytes).map_err(damaged)?.schema {
+            SCHEMA => {}
+            found if found > SCHEMA => return Err(CertificateError::TooNew { path, found }),
+            _ => return Err(CertificateError::Older(path)),
+        }
+        let certificate: Certificate = serde_json::from_slice(&bytes).map_err(damaged)?;
         let texture = session.model_dir().join("reflectance.exr");
         let stale = match store::digest_file(&texture) {
             Ok(found) => found != certificate.inputs.reflectance_blake3,

@@ -8,7 +8,7 @@ pub const HEAD: [&str; 8] = [
     "Patch",
     "Known (camera R G B)",
     "Found",
-    "Standard deviation",
+    "Standard error",
     "Error, % of known",
     "CIEDE2000",
     "5 % / 2 %",
@@ -27,13 +27,18 @@ fn row(result: &PatchResult) -> Vec<String> {
         let dash = || "-".to_owned();
         return vec![name, dash(), dash(), dash(), dash(), dash(), "not seen".into(), why];
     };
-    let Comparison { known_reflectance, found_reflectance, standard_deviation, relative_error, .. } =
-        comparison;
+    let Comparison {
+        known_reflectance,
+        found_reflectance,
+        found_reflectance_standard_error,
+        relative_error,
+        ..
+    } = comparison;
     vec![
         name,
         three(known_reflectance),
         three(found_reflectance),
-        standard_deviation.as_ref().map_or_else(|| "not told".into(), three),
+        found_reflectance_standard_error.as_ref().map_or_else(|| "not told".into(), three),
         relative_error.map(|e| format!("{:+.1}", 100.0 * e)).join(" "),
         comparison.delta_e_2000.map_or_else(|| "-".into(), |d| format!("{d:.2}")),
         format!("{} / {}", word(comparison.within_5_percent), word(comparison.within_2_percent)),

@@ -247,11 +247,11 @@ impl Reader<'_> {
 /// Each shot's light over what the fit says of its distance.
 pub(super) fn picture(fit: &FlashCalibration) -> Chart {
     let points = |held_out: bool| {
-        let shown = fit.cards.iter().filter(move |c| c.gain > 0.0 && c.held_out == held_out);
+        let shown = fit.cards.iter().filter(move |c| c.held_out == held_out);
         shown
-            .map(|c| {
-                let gain = c.gain / c.measured_gain.unwrap_or(1.0);
-                (c.distance, 100.0 * (gain - 1.0), 100.0 * fit.findings.jitter_deviation)
+            .filter_map(|c| {
+                let gain = c.gain? / c.measured_gain.unwrap_or(1.0);
+                Some((c.distance_m, 100.0 * (gain - 1.0), 100.0 * fit.findings.jitter_deviation))
             })
             .collect::<Vec<_>>()
     };

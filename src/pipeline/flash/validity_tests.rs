@@ -28,8 +28,9 @@ fn calibrated(lighting: Lighting, energy_counts: Option<f64>) -> Record<FlashCal
         verdict: Verdict { good: true, sentences: vec![] },
         fit: FlashCalibration {
             ring: Ring::new(0.035, 0.085).unwrap(),
-            radiance: [5e4; 3],
-            radiance_error: None,
+            radiance_dn: [5e4; 3],
+            radiance_dn_interval_95: None,
+            radiance_dn_standard_error: None,
             field: crate::calibration::FieldFactor { coefficients: [0.0; 3] },
             noise: NoiseModel { gain: 0.3, floor: 4.0 },
             target_reflectance: 0.94,
@@ -38,7 +39,7 @@ fn calibrated(lighting: Lighting, energy_counts: Option<f64>) -> Record<FlashCal
             focal_length_mm: Some(50.0),
             energy_counts,
             cards: vec![],
-            rms: 0.0,
+            residual_rms: 0.0,
             findings: FlashFindings::default(),
         },
     }

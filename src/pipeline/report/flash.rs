@@ -2,9 +2,11 @@
 
 use super::super::energy::FlashAccount;
 use super::{fact, percent};
+use crate::calibration::Steadiness;
 use crate::export::chart::{Chart, Series};
 use crate::export::report::Block;
-use crate::pair::energy::{ReferenceSource, Repeatability};
+use crate::pair::energy::ReferenceSource;
+use crate::pipeline::steadiness::picture;
 
 /// The blocks; a sentence if no controller measured anything.
 pub(super) fn blocks(account: &FlashAccount) -> Vec<Block> {
@@ -56,34 +58,24 @@ pub(super) fn blocks(account: &FlashAccount) -> Vec<Block> {
 }
 
 /// A repeatability run: its figures, and its shots in a chart.
-pub(in crate::pipeline) fn repeatability(run: &Repeatability) -> [Block; 2] {
-    let of = |value: f64, error: f64| format!("{:.3} % \u{b1} {:.3} %", 100.0 * value, 100.0 * error);
-    let facts = vec![
-        fact("Repeatability run", format!("{} shots of one scene, nothing changed", run.shots.len())),
-        fact("Known light, standard deviation", of(run.spread, run.spread_error)),
-        fact("Divided by the measured energy", of(run.corrected, run.corrected_error)),
-        fact("Of both, the sensor's noise", format!("{:.3} %", 100.0 * run.sensor_noise)),
-        fact("Of the latter, the photodiode's reading", format!("{:.3} %", 100.0 * run.reading_noise)),
-    ];
-    let n = run.shots.len() as f64;
-    let mean = run.shots.iter().map(|s| s.light[1]).sum::<f64>() / n;
-    let ratio = |s: &crate::pair::energy::RepeatShot| s.light[1] / s.energy_counts;
-    let mean_ratio = run.shots.iter().map(ratio).sum::<f64>() / n;
-    let at = |value: f64, number: u32| (f64::from(number), 100.0 * (value - 1.0), 0.0);
-    let chart = Chart {
-        caption: "Known light (green) of each shot of the repeatability run, before and after division by the measured energy.".into(),
-        across: "shot".into(),
-        up: "deviation from the mean, %".into(),
-        series: vec![
-            Series {
-                name: "as it came".into(),
-                points: run.shots.iter().map(|s| at(s.light[1] / mean, s.number)).collect(),
-            },
-            Series {
-                name: "by energy".into(),
-                points: run.shots.iter().map(|s| at(ratio(s) / mean_ratio, s.number)).collect(),
-            },
-        ],
+pub(in crate::pipeline) fn repeatability(run: &Steadiness) -> [Block; 2] {
+    let percent = |value: f64| format!("{:.3} %", 100.0 * value);
+    let own = |value: f64, [low, high]: [f64; 2]| {
+        let (value, low, high) = (percent(value), percent(low), percent(high));
+        format!("without the sensor's noise {value} (95 %: {low} to {high})")
     };
-    [Block::Facts(facts), Block::Chart(chart)]
+    let light = own(run.jitter_deviation, run.jitter_deviation_interval_95);
+    let mut facts = vec![
+        fact("Repeatability run", format!("{} shots of one scene, nothing changed", run.frames.len())),
+        fact("Known light, standard deviation", format!("{}; {light}", percent(run.light_deviation))),
+        fact("The sensor's noise", percent(run.sensor_deviation)),
+    ];
+    if let (Some(whole), Some(value), Some(interval)) =
+        (run.light_by_energy_deviation, run.corrected_deviation, run.corrected_deviation_interval_95)
+    {
+        let words = format!("{}; {}", percent(whole), own(value, interval));
+        facts.push(fact("Divided by the measured energy", words));
+    }
+    facts.extend(run.reading_deviation.map(|part| fact("Of that, the photodiode's reading", percent(part))));
+    [Block::Facts(facts), Block::Chart(picture(run))]
 }

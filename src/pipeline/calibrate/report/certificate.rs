@@ -85,7 +85,7 @@ const COLUMNS: [(&str, &str); 10] = [
     ("Patch", "/name"),
     ("Known reflectance (R G B)", "/comparison/known_reflectance"),
     ("Found", "/comparison/found_reflectance"),
-    ("Standard deviation", "/comparison/standard_deviation"),
+    ("Standard error", "/comparison/found_reflectance_standard_error"),
     ("Error", "/comparison/error"),
     ("Error / known", "/comparison/relative_error"),
     ("CIEDE2000", "/comparison/delta_e_2000"),

@@ -85,7 +85,7 @@ fn steps(ladder: &Ladder) -> Piece {
                 format!("{:.4}", step.factor / (1.0 + step.deviation)),
                 format!("{:.4}", step.factor),
                 format!("{:+.3}", 100.0 * step.deviation),
-                ends(step.deviation_95.map(|d| 100.0 * d), 3),
+                ends(step.deviation_interval_95.map(|d| 100.0 * d), 3),
                 percent(step.frame_share),
                 format!("{:.2}", 100.0 * step.pattern_sd),
             ],

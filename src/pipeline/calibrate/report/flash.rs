@@ -1,7 +1,7 @@
 //! The flash in the report.
 
 use super::{Told, ends, figure, figures, head, or_dash};
-use crate::calibration::{CardResidual, FlashCalibration, Interval, Record, Shot};
+use crate::calibration::{CardResidual, FlashCalibration, Record, Shot};
 use crate::export::calibration_report::{Piece, Row, Table};
 use crate::export::chart::{Chart, Curve, Plot, Series};
 use crate::pipeline::flash::picture;
@@ -17,7 +17,7 @@ pub(super) fn tell(_: &Session, record: &Record<FlashCalibration>) -> Told {
     let mut roles = vec!["room without flash".to_owned(); record.shots.len()];
     for (card, shot) in fit.cards.iter().zip(&shots) {
         if let Some(role) = shot.and_then(|shot| roles.get_mut(shot)) {
-            *role = format!("card at {:.3} m", card.distance);
+            *role = format!("card at {:.3} m", card.distance_m);
         }
     }
     let used = fit.cards.iter().zip(&shots).filter(|(card, _)| card.used);
@@ -98,16 +98,20 @@ fn facts(fit: &FlashCalibration) -> Vec<(String, String)> {
 /// The test of the inverse-square law: light on the card's middle over its distance, both logarithmic.
 fn law(fit: &FlashCalibration) -> Plot {
     let on_axis = |d: f64| fit.ring.irradiance(DVec3::new(0.0, 0.0, d), DVec3::NEG_Z);
-    let shown: Vec<&CardResidual> = fit.cards.iter().filter(|c| c.gain > 0.0 && c.distance > 0.0).collect();
-    let far = shown.iter().map(|c| c.distance).fold(0.0, f64::max);
-    let near = shown.iter().map(|c| c.distance).fold(far, f64::min);
+    let shown: Vec<(&CardResidual, f64)> =
+        fit.cards.iter().filter(|c| c.distance_m > 0.0).filter_map(|c| Some((c, c.gain?))).collect();
+    let far = shown.iter().map(|(c, _)| c.distance_m).fold(0.0, f64::max);
+    let near = shown.iter().map(|(c, _)| c.distance_m).fold(far, f64::min);
     let unit = on_axis(far).max(f64::MIN_POSITIVE);
     let series = [("used for the fit", true), ("not used for the fit", false)].into_iter().filter_map(
         |(name, used)| {
-            let own = shown.iter().filter(|card| card.used == used);
-            let light =
-                |c: &CardResidual| c.gain / c.measured_gain.unwrap_or(1.0) * on_axis(c.distance) / unit;
-            let points: Vec<(f64, f64, f64)> = own.map(|c| (c.distance, light(c), 0.0)).collect();
+            let own = shown.iter().filter(|(card, _)| card.used == used);
+            let points: Vec<(f64, f64, f64)> = own
+                .map(|(c, gain)| {
+                    let light = gain / c.measured_gain.unwrap_or(1.0) * on_axis(c.distance_m) / unit;
+                    (c.distance_m, light, 0.0)
+                })
+                .collect();
             (!points.is_empty()).then(|| Series { name: name.into(), points })
         },
     );
@@ -123,9 +127,10 @@ fn law(fit: &FlashCalibration) -> Plot {
             points: places().map(|d| (d, (far / d).powi(2))).collect(),
         },
     ];
-    let exponent = fit.findings.distance_exponent.map_or_else(
+    let found = fit.findings.distance_exponent.zip(fit.findings.distance_exponent_interval_95);
+    let exponent = found.map_or_else(
         || "The shots do not tell the exponent.".to_owned(),
-        |p| format!("Exponent found: {:.4} ({}), 2 by the law.", p.value, ends([p.low, p.high], 4)),
+        |(p, interval)| format!("Exponent found: {p:.4} ({}), 2 by the law.", ends(interval, 4)),
     );
     Plot {
         logarithmic: [true, true],
@@ -173,25 +178,32 @@ fn numbers(fit: &FlashCalibration, from: &[usize]) -> Piece {
     let found = &fit.findings;
     let mut rows: Vec<Row> = vec![];
     for (c, colour) in COLOURS.into_iter().enumerate() {
-        let interval = found.radiance_dn.map(|i| ends([i[c].low, i[c].high], 0));
+        let interval = fit.radiance_dn_interval_95.map(|i| ends(i[c], 0));
         rows.push(figure(
             &format!("Radiance of the ring, {colour}"),
-            format!("{:.0}", fit.radiance[c]),
+            format!("{:.0}", fit.radiance_dn[c]),
             "DN",
             interval,
             from,
         ));
     }
-    let fitted = |name: &str, of: Option<Interval>, (scale, digits): (f64, usize), unit: &str| {
-        let value = or_dash(of.map(|i| scale * i.value), digits);
-        figure(name, value, unit, of.map(|i| ends([scale * i.low, scale * i.high], digits)), from)
+    type Told<'a> = (&'a str, Option<f64>, Option<[f64; 2]>);
+    let fitted = |(name, value, interval): Told<'_>, (scale, digits): (f64, usize), unit: &str| {
+        let interval = interval.map(|ends_of| ends(ends_of.map(|end| scale * end), digits));
+        figure(name, or_dash(value.map(|v| scale * v), digits), unit, interval, from)
     };
+    let offset = ("Offset of the ring along the axis", found.offset_m, found.offset_m_interval_95);
+    let lobe = ("Exponent n of the lobe cos^n", found.lobe_exponent, found.lobe_exponent_interval_95);
+    let law =
+        ("Exponent of the law of distance", found.distance_exponent, found.distance_exponent_interval_95);
+    let inner = ("Inner radius by the shots", found.inner_radius_m, found.inner_radius_m_interval_95);
+    let outer = ("Outer radius by the shots", found.outer_radius_m, found.outer_radius_m_interval_95);
     rows.extend([
-        fitted("Offset of the ring along the axis", found.offset_m, (1e3, 2), "mm"),
-        fitted("Exponent n of the lobe cos^n", found.lobe_exponent, (1.0, 3), "1"),
-        fitted("Exponent of the law of distance", found.distance_exponent, (1.0, 4), "1"),
-        fitted("Inner radius by the shots", found.inner_radius_m, (1e3, 2), "mm"),
-        fitted("Outer radius by the shots", found.outer_radius_m, (1e3, 2), "mm"),
+        fitted(offset, (1e3, 2), "mm"),
+        fitted(lobe, (1.0, 3), "1"),
+        fitted(law, (1.0, 4), "1"),
+        fitted(inner, (1e3, 2), "mm"),
+        fitted(outer, (1e3, 2), "mm"),
     ]);
     let percent = |name: &str, part: Option<f64>, digits: usize| {
         figure(name, or_dash(part.map(|p| 100.0 * p), digits), "%", None, from)
@@ -203,7 +215,7 @@ fn numbers(fit: &FlashCalibration, from: &[usize]) -> Piece {
     let second = found.second_render_ratio.map(|r| (r - 1.0).abs()).into_iter().fold(0.0, f64::max);
     rows.extend([
         percent(jitter, Some(found.jitter_deviation), 3),
-        percent("Residual over all cells", Some(fit.rms), 3),
+        percent("Residual over all cells", Some(fit.residual_rms), 3),
         percent("Shots predicted without themselves, mean error", found.left_one_out_error, 3),
         percent("Shots kept from the fit, mean error", found.held_out_error, 3),
         percent("Second render against the shots, worst colour", Some(second), 4),
@@ -214,17 +226,16 @@ fn numbers(fit: &FlashCalibration, from: &[usize]) -> Piece {
 
 fn cards(fit: &FlashCalibration, shots: &[Option<usize>]) -> Piece {
     let rows = fit.cards.iter().zip(shots).map(|(card, shot)| {
-        let seen = card.gain > 0.0;
         let percent =
             |part: Option<f64>| part.map_or_else(|| "-".to_owned(), |p| format!("{:+.3}", 100.0 * p));
         Row {
             cells: vec![
-                format!("{:.3}", card.distance),
-                or_dash(seen.then_some(card.gain), 5),
+                format!("{:.3}", card.distance_m),
+                or_dash(card.gain, 5),
                 or_dash(card.measured_gain, 5),
-                or_dash(seen.then_some(100.0 * card.rms), 3),
+                or_dash(card.residual_rms.map(|rms| 100.0 * rms), 3),
                 percent(card.prediction_error),
-                format!("{:.1}", 100.0 * card.clipped),
+                format!("{:.1}", 100.0 * card.clipped_share),
                 match (card.used, card.held_out) {
                     (true, _) => "used",
                     (false, true) => "held out",

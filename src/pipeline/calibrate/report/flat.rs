@@ -2,7 +2,7 @@
 
 use super::{Told, ends, figure, figures, head, used};
 use crate::calibration::Record;
-use crate::calibration::flat::{Figure, FlatCalibration};
+use crate::calibration::flat::FlatCalibration;
 use crate::export::calibration_report::{Map, Piece, Row, Table};
 use crate::export::chart::{Curve, Plot};
 use crate::pipeline::calibrate::flat;
@@ -59,7 +59,7 @@ fn map(fit: &FlatCalibration) -> Piece {
     Piece::Map(Map {
         caption: format!(
             "Measured over fitted light, less 1, in parts of the frame, %. Noise alone gives a part {:.3} %; full tint at {FULL} %.",
-            100.0 * fit.residual_map_noise
+            100.0 * fit.residual_map_standard_error
         ),
         rows: fit.residual_map.iter().map(|row| row.iter().map(percent).collect()).collect(),
         digits: 2,
@@ -68,22 +68,23 @@ fn map(fit: &FlatCalibration) -> Piece {
 }
 
 fn numbers(fit: &FlatCalibration, from: &[usize]) -> Piece {
-    let row = |name: String, of: &Figure, digits: usize| {
-        let percent = of.interval_95.map(|end| 100.0 * end);
-        figure(&name, format!("{:.digits$}", 100.0 * of.value), "%", Some(ends(percent, digits)), from)
+    let row = |name: String, value: f64, interval: [f64; 2], digits: usize| {
+        let percent = interval.map(|end| 100.0 * end);
+        figure(&name, format!("{:.digits$}", 100.0 * value), "%", Some(ends(percent, digits)), from)
     };
-    let mut rows: Vec<Row> = COLOURS
-        .iter()
-        .zip(&fit.corner)
-        .map(|(c, of)| row(format!("Light in the corner, {c}"), of, 2))
-        .collect();
-    for (edge, of) in ["right", "lower"].into_iter().zip(&fit.light_gradient) {
-        rows.push(row(format!("Slope of the light, centre to {edge} edge"), of, 3));
-    }
+    let corner = |c: usize| {
+        row(format!("Light in the corner, {}", COLOURS[c]), fit.corner[c], fit.corner_interval_95[c], 2)
+    };
+    let slope = |(axis, edge): (usize, &str)| {
+        let name = format!("Slope of the light, centre to {edge} edge");
+        row(name, fit.light_gradient[axis], fit.light_gradient_interval_95[axis], 3)
+    };
+    let mut rows: Vec<Row> = (0..3).map(corner).collect();
+    rows.extend(["right", "lower"].into_iter().enumerate().map(slope));
     rows.extend([
         figure("Residual over the tiles", format!("{:.3}", 100.0 * fit.residual_rms), "%", None, from),
-        figure("chi\u{b2} per degree of freedom", format!("{:.2}", fit.chi2_per_freedom), "1", None, from),
-        figure("Tiles and colours used", format!("{:.1}", 100.0 * fit.used), "%", None, from),
+        figure("chi\u{b2} per degree of freedom", format!("{:.2}", fit.chi_squared), "1", None, from),
+        figure("Tiles and colours used", format!("{:.1}", 100.0 * fit.used_share), "%", None, from),
     ]);
     figures("Figures", rows)
 }

@@ -45,13 +45,13 @@ fn black(levels: &IsoLevels, dark: &[usize], all: &[usize]) -> Table {
         cells: vec![
             format!("{} ({}, {})", site.colour, site.row, site.column),
             or_dash(site.black_dn, 3),
-            within(site.black_interval_dn, site.black_error_dn),
+            within(site.black_dn_interval_95, site.black_dn_standard_error),
             or_dash(site.masked_black_dn, 3),
-            within(None, site.masked_black_error_dn),
+            within(None, site.masked_black_dn_standard_error),
             or_dash(site.read_noise_dn, 3),
             within(
-                site.read_noise_interval_dn.or(site.read_noise_below_dn.map(|below| [0.0, below])),
-                site.read_noise_error_dn,
+                site.read_noise_dn_interval_95.or(site.read_noise_below_dn.map(|below| [0.0, below])),
+                site.read_noise_dn_standard_error,
             ),
         ],
         from: from.to_vec(),

@@ -14,6 +14,7 @@ pub(super) mod shots;
 mod steadiness;
 
 use super::{RecordError, SeriesError, load};
+use crate::calibration::statistics::Z95;
 use crate::calibration::{Record, Rig};
 use crate::export::calibration_report::{CalibrationReport, Line, Mark, Part, Piece, Row, Table, html};
 use crate::export::report::Block;
@@ -285,6 +286,3 @@ fn ends([low, high]: [f64; 2], digits: usize) -> String {
 fn or_dash(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
 }
-
-/// Half of a 95 % interval over its standard error.
-const Z95: f64 = 1.96;

@@ -34,7 +34,7 @@ pub(super) fn tell(_: &Session, record: &Record<NoiseFit>) -> Told {
 fn transfer(noise: &IsoNoise) -> Plot {
     let series = COLOURS.map(|colour| {
         let own = noise.residuals.iter().filter(|r| r.colour == colour);
-        let points = own.map(|r| (r.signal_dn, r.variance_dn2, Z95 * r.variance_error_dn2));
+        let points = own.map(|r| (r.signal_dn, r.variance_dn2, Z95 * r.variance_dn2_standard_error));
         Series { name: colour.into(), points: points.collect() }
     });
     let lit = || noise.residuals.iter().map(|r| r.signal_dn).filter(|s| *s >= 1.0);
@@ -69,7 +69,8 @@ fn transfer(noise: &IsoNoise) -> Plot {
 fn straightness(noise: &IsoNoise, linearity: &Linearity) -> Plot {
     let series = COLOURS.map(|colour| {
         let own = linearity.steps.iter().filter(|step| step.colour == colour);
-        let points = own.map(|s| (s.signal_dn, 100.0 * s.deviation, 100.0 * Z95 * s.deviation_error));
+        let points =
+            own.map(|s| (s.signal_dn, 100.0 * s.deviation, 100.0 * Z95 * s.deviation_standard_error));
         Series { name: colour.into(), points: points.collect() }
     });
     Plot {
@@ -94,7 +95,7 @@ fn numbers(noise: &IsoNoise, all: &[usize], lit: &[usize]) -> Piece {
             "Gain, all colours",
             format!("{:.4}", noise.electrons_per_dn),
             "electrons / DN",
-            Some(ends(noise.electrons_per_dn_interval, 4)),
+            Some(ends(noise.electrons_per_dn_interval_95, 4)),
             all,
         ),
         figure(
@@ -102,7 +103,7 @@ fn numbers(noise: &IsoNoise, all: &[usize], lit: &[usize]) -> Piece {
             or_dash(noise.read_noise_e, 2),
             "electrons",
             noise
-                .read_noise_e_interval
+                .read_noise_e_interval_95
                 .or(noise.read_noise_below_e.map(|below| [0.0, below]))
                 .map(|i| ends(i, 2)),
             all,
@@ -114,14 +115,14 @@ fn numbers(noise: &IsoNoise, all: &[usize], lit: &[usize]) -> Piece {
             &format!("Gain, {}", colour.colour),
             or_dash(colour.electrons_per_dn, 4),
             "electrons / DN",
-            colour.electrons_per_dn_interval.map(|i| ends(i, 4)),
+            colour.electrons_per_dn_interval_95.map(|i| ends(i, 4)),
             all,
         ));
         rows.push(figure(
             &format!("Full well, {}", colour.colour),
             or_dash(colour.full_well_e, 0),
             "electrons",
-            colour.full_well_e_interval.map(|i| ends(i, 0)),
+            colour.full_well_e_interval_95.map(|i| ends(i, 0)),
             all,
         ));
     }
@@ -130,7 +131,7 @@ fn numbers(noise: &IsoNoise, all: &[usize], lit: &[usize]) -> Piece {
             "Fixed pattern, at most",
             or_dash(noise.fixed_pattern.map(|p| 100.0 * p), 3),
             "%",
-            noise.fixed_pattern_interval.map(percent),
+            noise.fixed_pattern_interval_95.map(percent),
             lit,
         ),
         figure(
@@ -179,7 +180,9 @@ fn steps(noise: &IsoNoise, linearity: &Linearity, lit: &[usize]) -> Piece {
             COLOURS.map(|c| linearity.steps.iter().find(|step| step.light == light && step.colour == c));
         let signals = own.map(|step| or_dash(step.map(|s| s.signal_dn), 1));
         let deviations = own.map(|step| match step {
-            Some(s) => format!("{:+.3} \u{b1}{:.3}", 100.0 * s.deviation, 100.0 * Z95 * s.deviation_error),
+            Some(s) => {
+                format!("{:+.3} \u{b1}{:.3}", 100.0 * s.deviation, 100.0 * Z95 * s.deviation_standard_error)
+            }
             None => "-".into(),
         });
         let cells = std::iter::once(format!("{light:.3}")).chain(signals).chain(deviations);
@@ -210,7 +213,9 @@ fn residuals(noise: &IsoNoise) -> Piece {
             }
         }
     }
-    let off = |r: &PairResidual| (r.variance_dn2 - r.model_dn2) / r.variance_error_dn2.max(f64::MIN_POSITIVE);
+    let off = |r: &PairResidual| {
+        (r.variance_dn2 - r.model_dn2) / r.variance_dn2_standard_error.max(f64::MIN_POSITIVE)
+    };
     let rows = pairs.into_iter().enumerate().map(|(number, pair)| {
         let signals = pair.map(|r| or_dash(r.map(|r| r.signal_dn), 1));
         let variances = pair.map(|r| or_dash(r.map(|r| r.variance_dn2), 2));

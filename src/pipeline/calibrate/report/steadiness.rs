@@ -18,8 +18,16 @@ pub(super) fn tell(_: &Session, record: &Record<Steadiness>) -> Told {
     let fit = &record.fit;
     let from = used(record, |_| true);
     let told: [Deviation<'_>; 6] = [
-        ("Energy between shots, standard deviation", Some(fit.jitter_deviation), Some(fit.jitter_interval)),
-        ("Left when divided by measured energies", fit.corrected_deviation, fit.corrected_interval),
+        (
+            "Energy between shots, standard deviation",
+            Some(fit.jitter_deviation),
+            Some(fit.jitter_deviation_interval_95),
+        ),
+        (
+            "Left when divided by measured energies",
+            fit.corrected_deviation,
+            fit.corrected_deviation_interval_95,
+        ),
         ("Light as it came, standard deviation", Some(fit.light_deviation), None),
         ("Of that, the sensor's noise", Some(fit.sensor_deviation), None),
         ("Largest excursion of a shot", Some(fit.largest_excursion), None),
@@ -84,9 +92,9 @@ impl Page<'_> {
         let words = format!(
             "In the controller's own series of {} shots ({measured}) the known light has a standard deviation of {:.3} %, and \
              {:.3} % divided by the measured energy. No frames of it are kept.",
-            run.shots.len(),
-            100.0 * run.spread,
-            100.0 * run.corrected
+            run.frames.len(),
+            100.0 * run.light_deviation,
+            100.0 * run.light_by_energy_deviation.unwrap_or(run.light_deviation)
         );
         let pieces = repeatability(&run).into_iter().map(Piece::Block);
         if let Some(part) = self.parts.iter_mut().find(|part| part.id == STEADINESS.id) {
