@@ -108,7 +108,7 @@ fn noise_of(
         "Variances at {to} are scaled from the flash calibration's {from}, an upper bound; `unlit calibrate noise` with frames at {to} tells the true ones."
     );
     let remark = own.remark.map_or_else(|| said.clone(), |before| format!("{before} {said}"));
-    Ok(SessionNoise { model: Some(calibration.noise.at_iso(from, to)), remark: Some(remark) })
+    Ok(SessionNoise { model: Some(calibration.noise.at_iso(from, to)), remark: Some(remark), scaled: true })
 }
 
 /// What levels and noise of the session leave open for these pairs; an error if they are another body's.
@@ -118,15 +118,15 @@ pub(super) fn remarks<'a>(
     pairs: impl Iterator<Item = &'a PairRecord>,
 ) -> Result<Vec<String>, DevelopError> {
     let measured = levels::load(session)?;
-    let mut found = BTreeSet::new();
+    let (mut frames, mut of_noise) = (vec![], BTreeSet::new());
     for pair in pairs {
         for frame in pair.dark_frames().chain([&pair.on]) {
             levels::same_body(&measured, &frame.settings, &format!("pair {}", pair.name))?;
-            found.extend(levels::remark(&measured, &frame.settings));
+            frames.push(&frame.settings);
         }
-        found.extend(noise_of(session, &pair.on.settings, calibration)?.remark);
+        of_noise.extend(noise_of(session, &pair.on.settings, calibration)?.remark);
     }
-    Ok(found.into_iter().collect())
+    Ok(levels::remarks(&measured, frames).into_iter().chain(of_noise).collect())
 }
 
 /// As [`known_sites`], with the sensor's saturation and noise as given.

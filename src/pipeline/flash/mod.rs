@@ -10,6 +10,7 @@ pub use correct::correct;
 pub use error::FlashError;
 pub(super) use validity::{doubt, scaled_for};
 
+use super::calibrate::report::Z95;
 use super::calibrate::{self, Series};
 use super::card_tags::{self, TagFacts};
 use super::develop::room_ratio;
@@ -251,7 +252,7 @@ pub(super) fn picture(fit: &FlashCalibration) -> Chart {
         shown
             .filter_map(|c| {
                 let gain = c.gain? / c.measured_gain.unwrap_or(1.0);
-                Some((c.distance_m, 100.0 * (gain - 1.0), 100.0 * fit.findings.jitter_deviation))
+                Some((c.distance_m, 100.0 * (gain - 1.0), 100.0 * Z95 * fit.findings.jitter_deviation))
             })
             .collect::<Vec<_>>()
     };
@@ -260,7 +261,7 @@ pub(super) fn picture(fit: &FlashCalibration) -> Chart {
         (!points.is_empty()).then(|| chart::Series { name: name.to_owned(), points })
     };
     Chart {
-        caption: "Light of the card shots against the fitted flash, over the card's distance".into(),
+        caption: "Light of the card shots against the fitted flash, over the card's distance; the intervals are those of the flash's jitter".into(),
         across: "Distance, m".into(),
         up: "Measured over fitted - 1, %".into(),
         series: [named("used for the fit", false), named("kept from the fit", true)]

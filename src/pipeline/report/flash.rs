@@ -5,6 +5,7 @@ use super::{fact, percent};
 use crate::export::chart::{Chart, Series};
 use crate::export::report::Block;
 use crate::pair::energy::{ReferenceSource, Repeatability};
+use crate::pipeline::calibrate::report::Z95;
 
 /// The blocks; a sentence if no controller measured anything.
 pub(super) fn blocks(account: &FlashAccount) -> Vec<Block> {
@@ -34,9 +35,9 @@ pub(super) fn blocks(account: &FlashAccount) -> Vec<Block> {
             ];
             facts.extend(losses.into_iter().filter_map(|(name, loss)| Some(fact(name, percent(-loss?)))));
             blocks.push(Block::Facts(facts));
-            let points = trend.pulses.iter().map(|p| (f64::from(p.pair), p.gain, p.deviation)).collect();
+            let points = trend.pulses.iter().map(|p| (f64::from(p.pair), p.gain, Z95 * p.deviation)).collect();
             blocks.push(Block::Chart(Chart {
-                caption: "Energy of each pair's pulse, as the photodiode measured it, with its standard deviation.".into(),
+                caption: "Energy of each pair's pulse, as the photodiode measured it.".into(),
                 across: "pair".into(),
                 up: "energy / reference".into(),
                 series: vec![Series { name: "energy".into(), points }],
@@ -57,7 +58,8 @@ pub(super) fn blocks(account: &FlashAccount) -> Vec<Block> {
 
 /// A repeatability run: its figures, and its shots in a chart.
 pub(in crate::pipeline) fn repeatability(run: &Repeatability) -> [Block; 2] {
-    let of = |value: f64, error: f64| format!("{:.3} % \u{b1} {:.3} %", 100.0 * value, 100.0 * error);
+    let of =
+        |value: f64, error: f64| format!("{:.3} % \u{b1} {:.3} % (95 %)", 100.0 * value, 100.0 * Z95 * error);
     let facts = vec![
         fact("Repeatability run", format!("{} shots of one scene, nothing changed", run.shots.len())),
         fact("Known light, standard deviation", of(run.spread, run.spread_error)),

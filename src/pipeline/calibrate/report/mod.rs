@@ -287,4 +287,4 @@ fn or_dash(value: Option<f64>, digits: usize) -> String {
 }
 
 /// Half of a 95 % interval over its standard error.
-const Z95: f64 = 1.96;
+pub(in crate::pipeline) const Z95: f64 = 1.96;
