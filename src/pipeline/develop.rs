@@ -2,6 +2,7 @@
 
 use crate::calibration::FlashCalibration;
 use crate::calibration::exposure::ScaleSource;
+use crate::calibration::flat::FlatField;
 use crate::codec::raw::RawError;
 use crate::pair::{PairRecord, Settings};
 use crate::photometry::apex::ExposureScale;
@@ -15,6 +16,8 @@ use crate::pipeline::levels;
 use crate::pipeline::scale::{RatioError, SessionScale, of_calibration};
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
+use glam::DVec2;
+use rayon::prelude::*;
 use std::collections::BTreeSet;
 
 /// Why a pair could not be developed.
@@ -80,14 +83,36 @@ pub fn known_light(
 
 /// The flash's own light of a pair on sensor sites, at whatever energy the pulse had. Of several frames without flash
 /// the mean is taken off: as [`order`](crate::pair::order) has them, every slope of the room's light cancels in it.
-/// Variances are those of the session's noise calibration, else the flash calibration's, scaled to the pair's ISO.
+/// By what the colours' vignettings differ is taken out. Variances are those of the session's noise calibration, else the
+/// flash calibration's, scaled to the pair's ISO.
 pub fn known_sites(
     session: &Session,
     pair: &PairRecord,
     calibration: &FlashCalibration,
 ) -> Result<KnownMosaic, DevelopError> {
     let noise = noise_of(session, &pair.on.settings, calibration)?.model.unwrap_or(calibration.noise);
-    isolated_sites(session, pair, &levels::load(session)?, &noise)
+    let mut known = isolated_sites(session, pair, &levels::load(session)?, &noise)?;
+    if let Some(vignetting) = &calibration.colour_vignetting {
+        even_colours(&mut known, vignetting);
+    }
+    Ok(known)
+}
+
+fn even_colours(known: &mut KnownMosaic, vignetting: &FlatField) {
+    let size = (known.value.width(), known.value.height());
+    let cfa = known.cfa;
+    let share = |at: usize| {
+        let (x, y) = (at % size.0, at / size.0);
+        vignetting.over_mean(size, DVec2::new(x as f64, y as f64) + 0.5, cfa.colour(x, y)) as f32
+    };
+    let values = known.value.pixels_mut().par_iter_mut().zip(known.variance.pixels_mut());
+    values.enumerate().for_each(|(at, (value, variance))| {
+        let share = share(at);
+        if let Some(value) = value {
+            *value /= share;
+        }
+        *variance /= share * share;
+    });
 }
 
 /// Noise of frames of these settings: the session's own, else the flash calibration's. What was measured at another ISO is

@@ -307,6 +307,7 @@ mod tests {
             radiance_dn_interval_95: None,
             radiance_dn_standard_error: None,
             field: FieldFactor { coefficients: [-0.1234, 0.0, 0.0] },
+            colour_vignetting: None,
             noise: NoiseModel { gain: 0.3125, floor: 4.5 },
             target_reflectance: 0.94,
             iso: None,

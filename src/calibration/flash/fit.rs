@@ -96,6 +96,7 @@ pub fn fit_flash(shots: &[CardShot], facts: &FlashFacts) -> Result<FlashCalibrat
             flash.radiance[c] * solution.error(&unit(c))
         })),
         field: flash.field,
+        colour_vignetting: None,
         noise: facts.noise,
         target_reflectance: facts.target.reflectance,
         iso: None,

@@ -115,6 +115,9 @@ pub fn calibrate(
     };
     let intrinsics = lens(session, size, facts.focal_px)?;
     let known = vignetting::of(session, series.rig(), &settings, facts.vignetting)?;
+    if let Some(colours) = &known.colours {
+        cards.iter_mut().for_each(|card| card.even_colours(colours));
+    }
     let of_flash = FlashFacts {
         intrinsics: &intrinsics,
         ring,
@@ -124,6 +127,7 @@ pub fn calibrate(
         free_radii: facts.free_radii,
     };
     let mut fit = fit_flash(&cards, &of_flash)?;
+    fit.colour_vignetting = known.colours;
     fit.findings.flat_field = known.source;
     fit.findings.card_tags = reader.sights;
     tell_settings(&mut fit, &settings);

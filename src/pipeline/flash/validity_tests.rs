@@ -32,6 +32,7 @@ fn calibrated(lighting: Lighting, energy_counts: Option<f64>) -> Record<FlashCal
             radiance_dn_interval_95: None,
             radiance_dn_standard_error: None,
             field: crate::calibration::FieldFactor { coefficients: [0.0; 3] },
+            colour_vignetting: None,
             noise: NoiseModel { gain: 0.3, floor: 4.0 },
             target_reflectance: 0.94,
             iso: Some(100.0),
