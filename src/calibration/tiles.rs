@@ -2,8 +2,10 @@
 //! [`flat`](super::flat) keep of each shot.
 //!
 //! The frame is divided into whole filter cells, all of it, at most `MOST` tiles along a side and none smaller than
-//! `LEAST` sites. A tile tells, by colour, the mean above black and the variance of that mean. The variance is the
-//! frame's own: along a row, `x0 - 2 x1 + x2` of three sites of one colour has six times the variance of one site, and
+//! `LEAST` sites. A tile tells, by colour, the mean above black and the variance of that mean. The variance is that of
+//! the body's noise where it was measured; the sensor's fixed pattern is not in it: frames of one series share it, so that
+//! it cancels in their ratio, and in a curve over the frame it shows as residual. Else the variance is the frame's own, in
+//! which the fixed pattern counts as noise: along a row, `x0 - 2 x1 + x2` of three sites of one colour has six times the variance of one site, and
 //! no slope of the light is in it. A single tile holds few sites to tell it from, so a straight line over all tiles of
 //! the frame, variance against mean, is put in its place; it lies between a constant (read noise alone) and the
 //! proportional (shot noise alone) one.
@@ -14,7 +16,7 @@
 //! sensor and are left out.
 
 use crate::pair::Settings;
-use crate::photometry::{Cfa, Mosaic};
+use crate::photometry::{Cfa, Mosaic, NoiseModel};
 
 /// Most tiles along a side.
 const MOST: usize = 96;
@@ -77,8 +79,8 @@ struct Sums {
 }
 
 impl Tiles {
-    /// Divides and measures a frame.
-    pub fn of(frame: &Mosaic) -> Result<Self, TooSmall> {
+    /// Divides and measures a frame; `noise` is the body's at the frame's ISO, where it was measured.
+    pub fn of(frame: &Mosaic, noise: Option<NoiseModel>) -> Result<Self, TooSmall> {
         let (width, height) = (frame.dn.width(), frame.dn.height());
         let along = |sites: usize| (sites / LEAST).min(MOST);
         let grid = (along(width), along(height));
@@ -105,12 +107,13 @@ impl Tiles {
             tiles.push(tile);
             spreads.push(spread);
         }
-        let lines = [0, 1, 2].map(|colour| line(&tiles, &spreads, colour));
+        let measured = noise.map(|noise| [f64::from(noise.floor), f64::from(noise.gain)]);
+        let lines = [0, 1, 2].map(|colour| measured.unwrap_or_else(|| line(&tiles, &spreads, colour)));
         for (colour, tile) in tiles.iter_mut().flat_map(|tile| tile.iter_mut().enumerate()) {
             if let Some(tile) = tile {
                 // Rounding to whole DN is noise too.
                 let [constant, slope] = lines[colour];
-                tile.variance = (constant + slope * tile.mean).max(1.0 / 12.0) / tile.sites;
+                tile.variance = (constant + slope * tile.mean.max(0.0)).max(1.0 / 12.0) / tile.sites;
             }
         }
         let over_exposed = if all > 0.0 { lost / all } else { 1.0 };
@@ -222,36 +225,40 @@ mod tests {
 
     #[test]
     fn tiles_reach_over_the_whole_frame_in_whole_cells() {
-        let tiles = Tiles::of(&frame(1003, 334, |_, _| 600)).unwrap();
+        let tiles = Tiles::of(&frame(1003, 334, |_, _| 600), None).unwrap();
         assert_eq!(tiles.grid, (96, 41));
         let sites: f64 = tiles.tiles.iter().flatten().flatten().map(|t| t.sites).sum();
         assert_eq!(sites, 1002.0 * 334.0);
         assert_eq!(tiles.reach(0)[0].0, 0);
         assert_eq!(tiles.reach(96 * 41 - 1).map(|r| r.1), [1002, 334]);
         assert_eq!(tiles.means(), [Some(500.0); 3]);
-        assert_eq!(Tiles::of(&frame(6, 80, |_, _| 600)), Err(TooSmall(6, 80)));
+        assert_eq!(Tiles::of(&frame(6, 80, |_, _| 600), None), Err(TooSmall(6, 80)));
     }
 
     #[test]
     fn a_slope_is_no_noise_and_noise_is_told() {
-        let slope = Tiles::of(&frame(64, 64, |x, _| 600 + 8 * x as u16)).unwrap();
+        let slope = Tiles::of(&frame(64, 64, |x, _| 600 + 8 * x as u16), None).unwrap();
         let tile = slope.tiles[0][1].unwrap();
         assert!((tile.variance * tile.sites - 1.0 / 12.0).abs() < 1e-9, "{tile:?}");
         // +-30 at every second site of a colour: variance 900, and second differences of 120.
         let noisy = frame(64, 64, |x, _| if (x / 2) % 2 == 0 { 570 } else { 630 });
-        let tile = Tiles::of(&noisy).unwrap().tiles[3][0].unwrap();
+        let tile = Tiles::of(&noisy, None).unwrap().tiles[3][0].unwrap();
         assert!((tile.variance * tile.sites - 120.0 * 120.0 / 6.0).abs() < 1e-6, "{tile:?}");
+        // A pattern that the sensor has by itself is no noise where noise is known.
+        let known = NoiseModel { gain: 0.3, floor: 2.0 };
+        let tile = Tiles::of(&noisy, Some(known)).unwrap().tiles[3][0].unwrap();
+        assert!((tile.variance * tile.sites - (2.0 + 0.3 * tile.mean)).abs() < 1e-4, "{tile:?}");
     }
 
     #[test]
     fn over_exposed_tiles_go_and_single_defects_do_not() {
-        let tiles = Tiles::of(&frame(64, 64, |x, y| match (x, y) {
+        let frame = frame(64, 64, |x, y| match (x, y) {
             (0..8, 0..8) => 9500,
             (40, 40) => 12_000,
             _ if x % 2 == 1 && y % 2 == 0 && x > 32 && y < 8 => 12_000,
             _ => 600,
-        }))
-        .unwrap();
+        });
+        let tiles = Tiles::of(&frame, None).unwrap();
         assert_eq!(tiles.tiles[0], [None; 3]);
         assert!(tiles.tiles[7][0].is_some() && tiles.tiles[7][1].is_none());
         assert!(tiles.tiles[5 * 8 + 5][0].is_none(), "one of sixteen sites is more than a stray one");

@@ -71,9 +71,6 @@ pub(super) fn run(args: &Args) -> CliResult {
         println!("left out {}: {}", left.name, left.why);
     }
     summary.remarks.iter().for_each(|remark| println!("{remark}"));
-    for what in &summary.scaled {
-        println!("SCALED: {what}");
-    }
     for mesh in &summary.turned {
         println!("{mesh} was seen from behind; its triangles were turned to face the cameras");
     }

@@ -66,13 +66,15 @@ pub enum Unmeasured {
     },
     /// They are of other ISOs.
     #[error(
-        "sensor levels were measured at {measured}, not at {iso}, where the next best source counts; run `unlit calibrate levels` with frames of every ISO in use"
+        "sensor levels were measured at {}, not at {}, where the next best source counts; run `unlit calibrate levels` with frames of every ISO in use",
+        words(measured),
+        words(isos)
     )]
     OtherIso {
-        /// The frame's.
-        iso: Iso,
-        /// Those measured, in words.
-        measured: String,
+        /// The frame's; of several frames those of all.
+        isos: Vec<Iso>,
+        /// Those measured.
+        measured: Vec<Iso>,
     },
     /// The frame does not tell what it takes.
     #[error("the session's sensor levels are not used for a frame that does not tell its {0}")]
@@ -93,9 +95,13 @@ impl MeasuredLevels {
         }
         let iso = frame.iso.ok_or(Unmeasured::Untold("ISO"))?;
         let found = self.isos.iter().find(|at| (at.iso.0 / iso.0 - 1.0).abs() < SAME_ISO);
-        let measured = || self.isos.iter().map(|at| at.iso.to_string()).collect::<Vec<_>>().join(", ");
-        found.map(Some).ok_or_else(|| Unmeasured::OtherIso { iso, measured: measured() })
+        let measured = || self.isos.iter().map(|at| at.iso).collect();
+        found.map(Some).ok_or_else(|| Unmeasured::OtherIso { isos: vec![iso], measured: measured() })
     }
+}
+
+fn words(isos: &[Iso]) -> String {
+    isos.iter().map(Iso::to_string).collect::<Vec<_>>().join(", ")
 }
 
 fn body(model: &str, serial: Option<&str>) -> String {

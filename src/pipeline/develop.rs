@@ -2,6 +2,7 @@
 
 use crate::calibration::FlashCalibration;
 use crate::calibration::exposure::ScaleSource;
+use crate::calibration::flat::FlatField;
 use crate::codec::raw::RawError;
 use crate::pair::{PairRecord, Settings};
 use crate::photometry::apex::ExposureScale;
@@ -15,6 +16,8 @@ use crate::pipeline::levels;
 use crate::pipeline::scale::{RatioError, SessionScale, of_calibration};
 use crate::reflectance::observe::Lamp;
 use crate::session::Session;
+use glam::DVec2;
+use rayon::prelude::*;
 use std::collections::BTreeSet;
 
 /// Why a pair could not be developed.
@@ -80,14 +83,36 @@ pub fn known_light(
 
 /// The flash's own light of a pair on sensor sites, at whatever energy the pulse had. Of several frames without flash
 /// the mean is taken off: as [`order`](crate::pair::order) has them, every slope of the room's light cancels in it.
-/// Variances are those of the session's noise calibration, else the flash calibration's, scaled to the pair's ISO.
+/// By what the colours' vignettings differ is taken out. Variances are those of the session's noise calibration, else the
+/// flash calibration's, scaled to the pair's ISO.
 pub fn known_sites(
     session: &Session,
     pair: &PairRecord,
     calibration: &FlashCalibration,
 ) -> Result<KnownMosaic, DevelopError> {
     let noise = noise_of(session, &pair.on.settings, calibration)?.model.unwrap_or(calibration.noise);
-    isolated_sites(session, pair, &levels::load(session)?, &noise)
+    let mut known = isolated_sites(session, pair, &levels::load(session)?, &noise)?;
+    if let Some(vignetting) = &calibration.colour_vignetting {
+        even_colours(&mut known, vignetting);
+    }
+    Ok(known)
+}
+
+fn even_colours(known: &mut KnownMosaic, vignetting: &FlatField) {
+    let size = (known.value.width(), known.value.height());
+    let cfa = known.cfa;
+    let share = |at: usize| {
+        let (x, y) = (at % size.0, at / size.0);
+        vignetting.over_mean(size, DVec2::new(x as f64, y as f64) + 0.5, cfa.colour(x, y)) as f32
+    };
+    let values = known.value.pixels_mut().par_iter_mut().zip(known.variance.pixels_mut());
+    values.enumerate().for_each(|(at, (value, variance))| {
+        let share = share(at);
+        if let Some(value) = value {
+            *value /= share;
+        }
+        *variance /= share * share;
+    });
 }
 
 /// Noise of frames of these settings: the session's own, else the flash calibration's. What was measured at another ISO is
@@ -108,7 +133,7 @@ fn noise_of(
         "Variances at {to} are scaled from the flash calibration's {from}, an upper bound; `unlit calibrate noise` with frames at {to} tells the true ones."
     );
     let remark = own.remark.map_or_else(|| said.clone(), |before| format!("{before} {said}"));
-    Ok(SessionNoise { model: Some(calibration.noise.at_iso(from, to)), remark: Some(remark) })
+    Ok(SessionNoise { model: Some(calibration.noise.at_iso(from, to)), remark: Some(remark), scaled: true })
 }
 
 /// What levels and noise of the session leave open for these pairs; an error if they are another body's.
@@ -118,15 +143,15 @@ pub(super) fn remarks<'a>(
     pairs: impl Iterator<Item = &'a PairRecord>,
 ) -> Result<Vec<String>, DevelopError> {
     let measured = levels::load(session)?;
-    let mut found = BTreeSet::new();
+    let (mut frames, mut of_noise) = (vec![], BTreeSet::new());
     for pair in pairs {
         for frame in pair.dark_frames().chain([&pair.on]) {
             levels::same_body(&measured, &frame.settings, &format!("pair {}", pair.name))?;
-            found.extend(levels::remark(&measured, &frame.settings));
+            frames.push(&frame.settings);
         }
-        found.extend(noise_of(session, &pair.on.settings, calibration)?.remark);
+        of_noise.extend(noise_of(session, &pair.on.settings, calibration)?.remark);
     }
-    Ok(found.into_iter().collect())
+    Ok(levels::remarks(&measured, frames).into_iter().chain(of_noise).collect())
 }
 
 /// As [`known_sites`], with the sensor's saturation and noise as given.

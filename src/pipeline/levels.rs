@@ -11,6 +11,7 @@ use crate::codec::raw::{self, Photo, RawError};
 use crate::pair::Settings;
 use crate::photometry::levels::{self, MeasuredLevels, Origin, Unmeasured};
 use crate::session::Session;
+use crate::units::Iso;
 use std::path::Path;
 
 /// The calibration's name: `calibration/levels.json`.
@@ -35,9 +36,32 @@ pub fn decode(bytes: &[u8], what: &str, measured: &MeasuredLevels) -> Result<Pho
 /// Why the session's own levels do not count for a frame of these settings, in words for people; `None` if they do, or if
 /// none were measured.
 pub fn remark(measured: &MeasuredLevels, settings: &Settings) -> Option<String> {
-    let why = measured.find(origin(settings)).err()?.to_string();
+    remarks(measured, [settings]).pop()
+}
+
+/// The same for many frames: each reason once, and once for all ISOs that were not measured.
+pub fn remarks<'a>(measured: &MeasuredLevels, frames: impl IntoIterator<Item = &'a Settings>) -> Vec<String> {
+    let (mut found, mut others) = (vec![], vec![]);
+    for settings in frames {
+        match measured.find(origin(settings)) {
+            Ok(_) => {}
+            Err(Unmeasured::OtherIso { isos, .. }) => others.extend(isos),
+            Err(why) => found.extend(Some(sentence(&why)).filter(|why| !found.contains(why))),
+        }
+    }
+    others.sort_by(|a: &Iso, b| a.0.total_cmp(&b.0));
+    others.dedup();
+    if !others.is_empty() {
+        let measured = measured.isos.iter().map(|at| at.iso).collect();
+        found.push(sentence(&Unmeasured::OtherIso { isos: others, measured }));
+    }
+    found
+}
+
+fn sentence(why: &Unmeasured) -> String {
+    let why = why.to_string();
     let mut letters = why.chars();
-    Some(letters.next().map_or(why.clone(), |first| format!("{}{}.", first.to_uppercase(), letters.as_str())))
+    letters.next().map_or(String::new(), |first| format!("{}{}.", first.to_uppercase(), letters.as_str()))
 }
 
 /// Refuses a frame of another body than the one that was measured.

@@ -28,7 +28,6 @@ pub(super) fn summarise(inputs: &Inputs, texture: &Texture, size: usize) -> Proc
         used: inputs.matched.iter().map(|(p, _)| p.name.clone()).collect(),
         left_out: inputs.left_out.clone(),
         remarks: inputs.remarks.clone(),
-        scaled: inputs.scaled.clone(),
         texture_size: size,
         seen: seen as f64 / surface.max(1) as f64,
         median_deviation: deviations.get(seen / 2).map_or(0.0, |d| f64::from(*d)),

@@ -54,12 +54,9 @@ pub struct ProcessSummary {
     pub used: Vec<String>,
     /// Pairs that did not, with the reason.
     pub left_out: Vec<LeftOut>,
-    /// Which calibrations count only in part for these pairs, and why.
+    /// Which calibrations count only in part for these pairs, and what was scaled: a sentence each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub remarks: Vec<String>,
-    /// What differs from the flash calibration and was scaled, a sentence each.
-    #[serde(default)]
-    pub scaled: Vec<String>,
     /// Side of the texture.
     pub texture_size: usize,
     /// Share of the object's texels that at least one view sees.
@@ -130,10 +127,8 @@ pub(super) struct Inputs {
     /// Accepted pairs with their cameras, by name.
     pub(super) matched: Vec<(Arc<PairRecord>, Camera)>,
     pub(super) left_out: Vec<LeftOut>,
-    /// Which calibrations count only in part, and why.
+    /// Which calibrations count only in part, and what is scaled.
     pub(super) remarks: Vec<String>,
-    /// What differs from the flash calibration and is scaled, in words.
-    pub(super) scaled: Vec<String>,
     /// The flash over the session.
     pub(super) flash: FlashAccount,
     /// Where the object's texture coordinates were asked to come from, and did.
@@ -218,8 +213,9 @@ impl Inputs {
         let pairs: Vec<&PairRecord> = matched.iter().map(|(pair, _)| &**pair).collect();
         let of_pairs = matched.iter().map(|(pair, _)| pair.as_ref());
         let doubt = flash::doubt(&calibrated).into_iter();
-        let remarks = doubt.chain(develop::remarks(session, &calibrated.fit, of_pairs)?).collect();
-        let scaled = flash::scaled_for(&calibrated, pairs.iter().copied(), &scale)?;
+        let mut remarks: Vec<String> =
+            doubt.chain(develop::remarks(session, &calibrated.fit, of_pairs)?).collect();
+        remarks.extend(flash::scaled_for(&calibrated, pairs.iter().copied(), &scale)?);
         let colours = SessionColours::measured(session, &pairs)?;
         let mut parts: Vec<Vec<u8>> = vec![];
         for path in [flash::file(session), session.scene_dir().join("scene.json")] {
@@ -242,14 +238,14 @@ impl Inputs {
         // Gains come out of it, and the report tells all of it.
         parts.push(format!("{flash:?}").into_bytes());
         // The report and the summary tell of these too.
-        parts.extend(scaled.iter().map(|what| what.clone().into_bytes()));
+        parts.extend(remarks.iter().map(|what| what.clone().into_bytes()));
         for left in &left_out {
             parts.push(format!("without {}: {}", left.name, left.why).into_bytes());
         }
         let key = digest(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
         let calibration = calibrated.fit;
         let uvs = Default::default();
-        Ok(Self { calibration, scale, colours, scene, matched, left_out, remarks, scaled, flash, uvs, key })
+        Ok(Self { calibration, scale, colours, scene, matched, left_out, remarks, flash, uvs, key })
     }
 
     /// The energy of a pair's pulse against the calibration's.

@@ -51,6 +51,7 @@ pub(super) fn html(told: &Told<'_>) -> Result<String, PngError> {
         Section { heading: "Figures", blocks: figures(told) },
         Section { heading: "Certificate", blocks: certificate::blocks(told.certificate) },
         Section { heading: "Camera and flash", blocks: rig(told) },
+        Section { heading: "Scaled, and held in part", blocks: remarks(told.summary) },
         Section { heading: "The flash over the session", blocks: flash::blocks(told.flash) },
         Section { heading: "Pairs", blocks: pairs(told.summary) },
         Section { heading: "What it cost", blocks: costs(told.summary) },
@@ -102,7 +103,6 @@ fn figures(told: &Told<'_>) -> Vec<Block> {
         ),
     ];
     blocks.extend(range.warnings().into_iter().map(Block::Text));
-    blocks.extend(summary.scaled.iter().map(|what| Block::Text(format!("Scaled: {what}."))));
     blocks
 }
 
@@ -169,7 +169,6 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
         let span = format!("{} to {}, the camera's clock", moment(first), moment(last));
         facts.push(fact("Photographed", span));
     }
-    facts.push(fact("Exposures scaled", told.summary.ratios.words()));
     let [a1, a2, a3] = fit.field.coefficients;
     let radiance = match fit.radiance_dn_standard_error {
         Some(error) => format!("{} DN, standard error {} DN", three(fit.radiance_dn, 0), three(error, 0)),
@@ -205,6 +204,12 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
     vec![Block::Facts(facts), Block::Table { head, rows: rows.collect() }]
 }
 
+/// By what exposures were scaled, and which calibrations hold only in part.
+fn remarks(summary: &ProcessSummary) -> Vec<Block> {
+    let ratios = Block::Facts(vec![fact("Exposures", summary.ratios.words())]);
+    std::iter::once(ratios).chain(summary.remarks.iter().cloned().map(Block::Text)).collect()
+}
+
 fn pairs(summary: &ProcessSummary) -> Vec<Block> {
     let mut blocks = vec![Block::Text(format!("In the model: {}.", summary.used.join(", ")))];
     let energy = |(name, gain): (&String, &FlashGain)| {
@@ -216,7 +221,6 @@ fn pairs(summary: &ProcessSummary) -> Vec<Block> {
             rows: summary.gains.iter().map(energy).collect(),
         });
     }
-    blocks.extend(summary.remarks.iter().cloned().map(Block::Text));
     if summary.left_out.is_empty() {
         blocks.push(Block::Text("None was left out.".into()));
     } else {
@@ -277,6 +281,7 @@ mod tests {
             radiance_dn_interval_95: None,
             radiance_dn_standard_error: None,
             field: FieldFactor { coefficients: [-0.1234, 0.0, 0.0] },
+            colour_vignetting: None,
             noise: NoiseModel { gain: 0.3125, floor: 4.5 },
             target_reflectance: 0.94,
             iso: None,
@@ -301,9 +306,8 @@ mod tests {
         };
         let summary = ProcessSummary {
             used: vec!["0001".into()],
-            remarks: vec![],
+            remarks: vec!["Scaled, pair 0001: shot at ISO 200.".into()],
             left_out: vec![LeftOut { name: "0002".into(), why: "rejected: <the vase moved>".into() }],
-            scaled: vec!["pair 0001: shot at ISO 200".into()],
             texture_size: 640,
             seen: 0.875,
             median_deviation: 0.0123,
@@ -362,7 +366,7 @@ mod tests {
             "card-far.dng",
             "rejected: &lt;the vase moved&gt;",
             "no exposure table was measured",
-            "Scaled: pair 0001: shot at ISO 200.",
+            "Scaled, pair 0001: shot at ISO 200.",
             "camera RGB, uncalibrated",
             "reflectance.exr",
         ] {

@@ -6,6 +6,7 @@
 
 use super::calibrate::{Series, SeriesError, noise};
 use super::flash::{FlashError, energy_beside, label};
+use crate::calibration::statistics::Z95;
 use crate::calibration::{Record, Steadiness, SteadyError, SteadyShot, steadiness};
 use crate::export::chart::{self, Chart};
 use crate::pair::Settings;
@@ -169,7 +170,7 @@ fn mean_light(frame: &Mosaic, known: &First) -> Option<([f64; 3], [f64; 3])> {
 }
 
 pub(super) fn picture(found: &Steadiness) -> Chart {
-    let sensor = 100.0 * found.sensor_deviation;
+    let sensor = 100.0 * Z95 * found.sensor_deviation;
     let points = |of: &dyn Fn(&SteadyShot) -> Option<f64>| {
         let frames = found.frames.iter().enumerate();
         frames.filter_map(|(i, f)| Some((i as f64 + 1.0, 100.0 * (of(f)? - 1.0), sensor))).collect::<Vec<_>>()
@@ -181,7 +182,8 @@ pub(super) fn picture(found: &Steadiness) -> Chart {
         series.push(chart::Series { name: "divided by the measured energy".into(), points });
     }
     Chart {
-        caption: "Light of each frame against the mean of all".into(),
+        caption: "Light of each frame against the mean of all; the intervals are those of the sensor's noise"
+            .into(),
         across: "Frame".into(),
         up: "Light over the mean - 1, %".into(),
         series,

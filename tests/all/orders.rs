@@ -100,6 +100,7 @@ impl House {
             radiance_dn_interval_95: None,
             radiance_dn_standard_error: None,
             field: FieldFactor { coefficients: [0.0; 3] },
+            colour_vignetting: None,
             noise: NOISE,
             target_reflectance: 0.9,
             iso: None,

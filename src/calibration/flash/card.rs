@@ -1,6 +1,7 @@
 //! Shots of the card, each reduced to means over small cells as soon as it is read.
 
 use super::FieldFactor;
+use crate::calibration::flat::FlatField;
 use crate::calibration::tiles::STRAY;
 use crate::light::Ring;
 use crate::photometry::{Cfa, IsolateError, Mosaic, NoiseModel, linear};
@@ -114,6 +115,15 @@ impl Target {
 }
 
 impl CardShot {
+    /// Takes out by what the colours' vignettings differ, so that one field holds for all colours.
+    pub fn even_colours(&mut self, vignetting: &FlatField) {
+        for cell in &mut self.cells {
+            for c in 0..3 {
+                cell.value[c] /= vignetting.over_mean(self.size, cell.centre, c);
+            }
+        }
+    }
+
     /// Means of a lit frame's cells, less `ratio` times those of an unlit one where the room was not dark.
     pub fn reduce(
         label: String,

@@ -93,6 +93,7 @@ pub fn fit_flash(shots: &[CardShot], facts: &FlashFacts) -> Result<FlashCalibrat
         radiance_dn_interval_95: Some(fits.radiance_interval(&solution)),
         radiance_dn_standard_error: Some(std::array::from_fn(|c| flash.radiance[c] * solution.error(c))),
         field: flash.field,
+        colour_vignetting: None,
         noise: facts.noise,
         target_reflectance: facts.target.reflectance,
         iso: None,

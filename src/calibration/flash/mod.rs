@@ -38,6 +38,7 @@ pub use error::FlashFitError;
 pub use fit::fit_flash;
 pub use vignetting::Vignetting;
 
+use super::flat::FlatField;
 use super::tags::CardSight;
 use crate::light::Ring;
 use crate::photometry::NoiseModel;
@@ -174,6 +175,10 @@ pub struct FlashCalibration {
     pub radiance_dn_standard_error: Option<[f64; 3]>,
     /// Vignetting times lobe; vignetting alone where that was given.
     pub field: FieldFactor,
+    /// Vignetting by colour, where a flat field tells that the colours differ: `field` holds for light from which their
+    /// differences were taken out ([`CardShot::even_colours`]).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub colour_vignetting: Option<FlatField>,
     /// Sensor noise, measured on the same shots.
     pub noise: NoiseModel,
     /// Reflectance the card was taken to have.

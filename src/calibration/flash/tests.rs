@@ -1,5 +1,5 @@
 use super::*;
-use crate::calibration::flat::ProfilePoint;
+use crate::calibration::flat::{FlatField, ProfilePoint};
 use crate::calibration::holds;
 use crate::photometry::{Cfa, LevelSource, Levels, Mosaic};
 use crate::raster::Image;
@@ -392,4 +392,34 @@ fn held_out_shots_are_predicted_and_a_wrong_law_is_told() {
     }
     let law = fit_flash(&drawn.shots, &facts).unwrap().findings.distance_exponent_interval_95.unwrap();
     assert!(holds(law, 1.9) && !holds(law, 2.0), "{law:?}");
+}
+
+#[test]
+fn colours_of_different_vignettings_are_fitted_by_one_field_once_they_are_evened() {
+    let mut drawn = draw(4, false);
+    let mean = FieldFactor { coefficients: drawn.field };
+    let [a, b, c] = drawn.field;
+    let colours = FlatField { coefficients: [[a - 0.03, b, c], [a + 0.01, b, c], [a + 0.02, b, c]] };
+    for shot in &mut drawn.shots {
+        for cell in &mut shot.cells {
+            for colour in 0..3 {
+                let q = field_q(&intrinsics(), cell.centre);
+                cell.value[colour] *= colours.at_q(q, colour) / mean.at_q(q);
+            }
+        }
+    }
+    let (intrinsics, target) = (intrinsics(), Target::lambertian(0.94));
+    let facts = facts(&intrinsics, drawn.ruler, &target, Some(Vignetting::exact(mean)));
+    let uneven = fit_flash(&drawn.shots, &facts).unwrap();
+    drawn.shots.iter_mut().for_each(|shot| shot.even_colours(&colours));
+    let even = fit_flash(&drawn.shots, &facts).unwrap();
+    println!("residual {} uneven, {} even", uneven.residual_rms, even.residual_rms);
+    assert!(even.residual_rms < 0.5 * uneven.residual_rms);
+    for colour in 0..3 {
+        let off = even.radiance_dn[colour] / drawn.radiance[colour] - 1.0;
+        assert!(
+            off.abs() < 4.0 * even.radiance_dn_standard_error.unwrap()[colour] / drawn.radiance[colour],
+            "{off}"
+        );
+    }
 }

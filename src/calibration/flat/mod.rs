@@ -147,6 +147,18 @@ impl FlatField {
         let half = DVec2::new(size.0 as f64, size.1 as f64) / 2.0;
         self.at_q((pixel - half).length_squared() / half.length_squared(), colour)
     }
+
+    /// The mean of the colours' vignettings at q.
+    pub fn mean_at_q(&self, q: f64) -> f64 {
+        (0..3).map(|colour| self.at_q(q, colour)).sum::<f64>() / 3.0
+    }
+
+    /// Vignetting of a colour over the mean of all, at a pixel position of a frame of this size.
+    pub fn over_mean(&self, size: (usize, usize), pixel: DVec2, colour: usize) -> f64 {
+        let half = DVec2::new(size.0 as f64, size.1 as f64) / 2.0;
+        let q = (pixel - half).length_squared() / half.length_squared();
+        self.at_q(q, colour) / self.mean_at_q(q)
+    }
 }
 
 impl FlatCalibration {

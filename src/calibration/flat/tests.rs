@@ -13,10 +13,12 @@ struct Lens {
     /// Coefficients by colour.
     curve: [[f64; 3]; 3],
     gradient: [f64; 2],
+    /// Where its axis meets the frame, from the middle, in half widths and half heights.
+    axis: [f64; 2],
 }
 
 fn common(curve: [f64; 3]) -> Lens {
-    Lens { curve: [curve; 3], gradient: [0.0; 2] }
+    Lens { curve: [curve; 3], gradient: [0.0; 2], axis: [0.0; 2] }
 }
 
 /// Mean over a colour's own sites of what the lens and the light do in a tile, site by site.
@@ -27,7 +29,8 @@ fn shape(lens: &Lens, tiles: &Tiles, tile: usize, colour: usize) -> f64 {
     for row in y.0..y.1 {
         for column in (x.0..x.1).filter(|&column| Cfa::RGGB.colour(column, row) == colour) {
             let place = [column as f64 + 0.5 - half[0], row as f64 + 0.5 - half[1]];
-            let q = (place[0].powi(2) + place[1].powi(2)) / (half[0].powi(2) + half[1].powi(2));
+            let [x, y] = [0, 1].map(|a| place[a] - lens.axis[a] * half[a]);
+            let q = (x * x + y * y) / (half[0].powi(2) + half[1].powi(2));
             let [a, b, c] = lens.curve[colour];
             let slope = lens.gradient[0] * place[0] / half[0] + lens.gradient[1] * place[1] / half[1];
             sum += 1.0 + q * (a + q * (b + q * c)) + slope;
@@ -72,7 +75,7 @@ fn frame(tiles: Tiles) -> EvenFrame {
 
 #[test]
 fn a_curve_without_noise_comes_back_to_the_last_digits() {
-    let lens = Lens { curve: [[-0.2, 0.05, -0.03]; 3], gradient: [0.004, -0.002] };
+    let lens = Lens { curve: [[-0.2, 0.05, -0.03]; 3], gradient: [0.004, -0.002], axis: [0.0; 2] };
     let (fit, left_out) = fit_flat(&[frame(clean(&lens, 6000.0)), frame(clean(&lens, 3000.0))]).unwrap();
     assert!(left_out.is_empty() && fit.order == 3 && !fit.per_channel, "{fit:?}");
     for (found, truth) in fit.vignetting.coefficients[1].iter().zip([-0.2, 0.05, -0.03]) {
@@ -96,7 +99,7 @@ fn a_thousand_random_lenses_have_their_corner_inside_its_interval() {
         // Lenses of each order.
         let order = draw(0.0..4.0) as usize;
         let curve = std::array::from_fn(|n| if n < order { curve[n] } else { 0.0 });
-        let lens = Lens { curve: [curve; 3], gradient: [draw(-0.005..0.005), 0.0] };
+        let lens = Lens { curve: [curve; 3], gradient: [draw(-0.005..0.005), 0.0], axis: [0.0; 2] };
         let plain = clean(&lens, draw(500.0..8000.0));
         let truth = 1.0 + curve.iter().sum::<f64>();
         let (fit, _) = fit_flat(&[frame(noisy(plain, &mut random))]).unwrap();
@@ -113,7 +116,7 @@ fn a_thousand_random_lenses_have_their_corner_inside_its_interval() {
 fn colours_have_their_own_curves_where_they_differ_and_one_where_they_do_not() {
     let mut random = ChaCha8Rng::seed_from_u64(12);
     let curve = |a: f64| [a, -0.02, 0.0];
-    let lens = Lens { curve: [curve(-0.11), curve(-0.10), curve(-0.08)], gradient: [0.0; 2] };
+    let lens = Lens { curve: [curve(-0.11), curve(-0.10), curve(-0.08)], gradient: [0.0; 2], axis: [0.0; 2] };
     let frames: Vec<EvenFrame> = (0..20).map(|_| frame(noisy(clean(&lens, 8000.0), &mut random))).collect();
     let (fit, _) = fit_flat(&frames).unwrap();
     assert!(fit.per_channel, "{:?}", fit.f_values);
@@ -133,7 +136,7 @@ fn colours_have_their_own_curves_where_they_differ_and_one_where_they_do_not() {
 #[test]
 fn uneven_light_and_dust_are_told() {
     let mut random = ChaCha8Rng::seed_from_u64(13);
-    let lens = Lens { curve: [[-0.1, 0.0, 0.0]; 3], gradient: [0.03, 0.0] };
+    let lens = Lens { curve: [[-0.1, 0.0, 0.0]; 3], gradient: [0.03, 0.0], axis: [0.0; 2] };
     let (fit, _) = fit_flat(&[frame(noisy(clean(&lens, 8000.0), &mut random))]).unwrap();
     let told = fit.verdict(0);
     assert!(
@@ -184,4 +187,21 @@ fn frames_that_tell_nothing_are_refused_with_their_reason() {
     other.settings.aperture = Some(FNumber(5.6));
     let error = fit_flat(&[frame(good()), other.clone()]).unwrap_err().to_string();
     assert!(error.contains("frame 2: its aperture is \"f/5.6\""), "{error}");
+}
+
+#[test]
+fn a_lens_whose_axis_lies_beside_the_middle_is_told_about_its_axis() {
+    // The axis lies 1 % of the frame beside the middle either way, so that the corners are not alike: that goes into the
+    // light's slope, and what is left is the curve about the axis.
+    for curve in [[-0.11, -0.02, 0.0], [-0.35, 0.05, 0.0], [-0.6, 0.2, -0.05]] {
+        let lens = Lens { axis: [0.02; 2], ..common(curve) };
+        let (fit, _) = fit_flat(&[frame(clean(&lens, 8000.0))]).unwrap();
+        let worst = [0.2, 0.5, 1.0].map(|q: f64| {
+            let truth = 1.0 + q * (curve[0] + q * (curve[1] + q * curve[2]));
+            (fit.vignetting.at_q(q, 1) / truth - 1.0).abs()
+        });
+        let worst = worst.into_iter().fold(0.0, f64::max);
+        println!("{curve:?}: {:.4} % off, slope {:?}", 100.0 * worst, fit.light_gradient);
+        assert!(worst < 0.001 && fit.light_gradient[0].abs() > 0.002, "{curve:?}: {worst}");
+    }
 }

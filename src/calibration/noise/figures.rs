@@ -87,6 +87,7 @@ pub(super) fn residuals(pair: &PairTiles, line: &Line) -> Vec<PairResidual> {
             variance_dn2: variance / n,
             variance_dn2_standard_error: squares.sqrt() / n,
             model_dn2: line.at(signal / n),
+            shot_numbers: pair.shot_numbers.clone(),
         })
     };
     (0..3).filter_map(of_colour).collect()

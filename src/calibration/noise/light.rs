@@ -27,7 +27,14 @@ pub(super) fn linearity(input: &IsoInput) -> Result<Linearity, NoLinearity> {
     };
     let known: Vec<(f64, [Option<Reading>; 3])> =
         lights.iter().zip(&signals).filter_map(|(light, signal)| Some(((*light)?, *signal))).collect();
-    linearity::fit(&known, input.range, input.black_error, source, missing)
+    let mut found = linearity::fit(&known, input.range, input.black_error, source, missing)?;
+    let darkest = known.iter().map(|level| level.0).fold(f64::INFINITY, f64::min);
+    for step in &mut found.steps {
+        let at = lights.iter().position(|light| light.is_some_and(|light| light / darkest == step.light));
+        let pairs = at.and_then(|at| input.levels.get(at)).into_iter().flat_map(|level| &level.pairs);
+        step.shot_numbers = pairs.flat_map(|pair| pair.shot_numbers.iter().copied()).collect();
+    }
+    Ok(found)
 }
 
 /// Mean of each colour of each level; absent where it clips in one of the level's frames.
@@ -98,7 +105,7 @@ mod tests {
             let mean = mean * share;
             Some(Signal { mean, noise: 1e-4 * mean, apart: part * mean })
         });
-        LightLevel { time: None, aperture: None, pairs: vec![PairTiles { tiles: vec![], signal }] }
+        LightLevel { time: None, aperture: None, pairs: vec![PairTiles { signal, ..PairTiles::default() }] }
     }
 
     #[test]

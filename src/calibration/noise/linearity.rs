@@ -82,6 +82,9 @@ pub struct LinearityStep {
     pub deviation: f64,
     /// Standard error of `deviation`: noise, black, and how far two frames of one light part.
     pub deviation_standard_error: f64,
+    /// Frames of the level: places in the order given, from 0.
+    #[serde(default)]
+    pub shot_numbers: Vec<usize>,
 }
 
 /// Why linearity could not be measured.
@@ -206,6 +209,7 @@ pub(super) fn fit(
                 signal_dn: s.mean,
                 deviation,
                 deviation_standard_error,
+                shot_numbers: vec![],
             };
             if at < straight && (FROM..=TO).contains(&(s.mean / range[c])) {
                 counting.push((s.mean, deviation));

@@ -139,6 +139,9 @@ pub struct PairResidual {
     pub variance_dn2_standard_error: f64,
     /// What the line says there.
     pub model_dn2: f64,
+    /// The pair's frames: places in the order given, from 0.
+    #[serde(default)]
+    pub shot_numbers: Vec<usize>,
 }
 
 /// All pairs of one light level; levels ascend.

@@ -28,7 +28,7 @@ fn rig(random: &mut ChaCha8Rng, gain: f64, read: f64, dark: bool) -> IsoInput {
             }
         }
         let signal = SHARES.map(|share| Some(Signal { mean: share * light, noise: 0.0, apart: 0.0 }));
-        PairTiles { tiles, signal }
+        PairTiles { tiles, signal, shot_numbers: vec![] }
     };
     let levels = (0..10).map(|k| LightLevel {
         time: Some(1.0),

@@ -42,6 +42,8 @@ pub struct PairTiles {
     pub tiles: Vec<Tile>,
     /// Mean of each colour; absent where sites clip.
     pub signal: [Option<Signal>; 3],
+    /// The two frames' places in the order given, from 0; empty if that is not told.
+    pub shot_numbers: Vec<usize>,
 }
 
 /// Two frames that cannot be laid over each other.
@@ -75,7 +77,7 @@ pub fn compare(first: &Mosaic, second: &Mosaic, black: [[f64; 2]; 2]) -> Result<
         }
     }
     let signal = signals(first, second, black, &tiles);
-    Ok(PairTiles { tiles, signal })
+    Ok(PairTiles { tiles, signal, shot_numbers: vec![] })
 }
 
 /// Sums over the sites of a tile; `a` and `b` are the frames' values, `u` and `v` the place from the tile's middle.

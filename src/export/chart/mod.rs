@@ -1,4 +1,4 @@
-//! Points with their errors over a running number, as one inline SVG picture for a report.
+//! Points with their 95 % intervals over a running number, as one inline SVG picture for a report.
 //!
 //! Takes values as they are and their names; scales the axes to round numbers. Colours are the page's own, so that
 //! the picture follows light and dark.
@@ -13,7 +13,7 @@ use axis::Axis;
 pub struct Series {
     /// What it is, for the legend.
     pub name: String,
-    /// Place on the horizontal axis, value, and its standard deviation (0: no bar is drawn).
+    /// Place on the horizontal axis, value, and half of its 95 % interval (0: no bar is drawn).
     pub points: Vec<(f64, f64, f64)>,
 }
 
@@ -111,6 +111,7 @@ impl Drawing<'_> {
         let up = points().flat_map(|p| [lower(p), p.1 + p.2]).chain(curve().map(|p| p.1));
         let x = Axis::over(across, self.logarithmic[0], [left, right]);
         let y = Axis::over(up, self.logarithmic[1], [bottom, top]);
+        let barred = points().any(|p| p.2 > 0.0);
         let caption = escape(&chart.caption);
         let mut out = format!(
             "{head} viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{caption}\">\n{style}"
@@ -127,6 +128,9 @@ impl Drawing<'_> {
         }
         text(&mut out, (right, HEIGHT - 6.0), "end", &chart.across);
         text(&mut out, (4.0, 14.0), "start", &chart.up);
+        if barred {
+            text(&mut out, (4.0, HEIGHT - 6.0), "start", "bars: 95 % intervals");
+        }
         let mut legend = right;
         for (k, curve) in curves.iter().enumerate() {
             let dashes = DASHES[k % DASHES.len()];
@@ -233,6 +237,7 @@ mod tests {
             };
             let svg = svg(&chart);
             assert_eq!(svg.matches("<circle").count(), count);
+            assert_eq!(svg.contains("bars: 95 % intervals"), svg.contains("class=\"bar\""), "{svg}");
             assert!(svg.contains("a &lt; b") && !svg.contains("NaN") && !svg.contains("inf"), "{svg}");
             for cx in svg.split("cx=\"").skip(1) {
                 let value: f64 = cx.split('"').next().unwrap().parse().unwrap();

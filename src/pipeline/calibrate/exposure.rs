@@ -48,7 +48,8 @@ pub fn calibrate(
         let black = photo.mosaic.levels.black_source;
         black_known &= matches!(black, LevelSource::Measured | LevelSource::MaskedPixels);
         let small = |source| ExposureError::TooSmall { path: path.clone(), source };
-        let tiles = Tiles::of(&photo.mosaic).map_err(small)?;
+        let noise = series.noise(&photo.settings)?;
+        let tiles = Tiles::of(&photo.mosaic, noise).map_err(small)?;
         read.push(EvenFrame { settings: photo.settings, tiles });
     }
     let (fit, left_out) = fit_exposure(&read)?;
@@ -76,7 +77,7 @@ pub(super) fn figure(fit: &ExposureFit) -> Chart {
         Points { name: ladder.setting.name().into(), points: points.collect() }
     });
     Chart {
-        caption: "Measured factor of each step against the ideal 2^(k/3), with its 95 % interval.".into(),
+        caption: "Measured factor of each step against the ideal 2^(k/3).".into(),
         across: "thirds of a stop above the darkest step".into(),
         up: "deviation, %".into(),
         series: series.collect(),

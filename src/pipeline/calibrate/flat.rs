@@ -46,7 +46,8 @@ pub fn calibrate(
         progress.report("reading the even frames", done, frames.len());
         let photo = series.read(path)?;
         let small = |source| FlatError::TooSmall { path: path.clone(), source };
-        let tiles = Tiles::of(&photo.mosaic).map_err(small)?;
+        let noise = series.noise(&photo.settings)?;
+        let tiles = Tiles::of(&photo.mosaic, noise).map_err(small)?;
         read.push(EvenFrame { settings: photo.settings, tiles });
     }
     let (fit, left_out) = fit_flat(&read)?;
@@ -71,7 +72,7 @@ pub(super) fn figure(fit: &FlatCalibration) -> Chart {
         points: rings.iter().map(|p| (p.radius, p.light, Z95 * p.light_standard_error)).collect(),
     });
     Chart {
-        caption: "Light around the frame's centre, with its 95 % interval: vignetting.".into(),
+        caption: "Light around the frame's centre: vignetting.".into(),
         across: "distance from the centre / half diagonal".into(),
         up: "light / light at the centre".into(),
         series: series.collect(),

@@ -19,7 +19,8 @@ use super::levels as sensor_levels;
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 use crate::codec::raw::{Photo, RawError};
 use crate::export::chart::{self, Chart};
-use crate::pair::Lighting;
+use crate::pair::{Lighting, Settings};
+use crate::photometry::NoiseModel;
 use crate::photometry::levels::MeasuredLevels;
 use crate::progress::{Cancelled, Progress};
 use crate::session::{Session, SessionError, advice, store as disk, utc_now};
@@ -123,6 +124,8 @@ pub(super) struct Series<'a> {
     shots: Vec<Shot>,
     /// Where each shot was read from.
     paths: Vec<PathBuf>,
+    /// What the file of each tells.
+    settings: Vec<Settings>,
     /// What people must be told beside the fit's verdict.
     remarks: Vec<String>,
     /// A small picture of each, for the report; absent where there is nothing to see.
@@ -148,6 +151,7 @@ impl<'a> Series<'a> {
             rig,
             shots: vec![],
             paths: vec![],
+            settings: vec![],
             remarks: vec![],
             pictures: vec![],
             figures: vec![],
@@ -185,14 +189,12 @@ impl<'a> Series<'a> {
             lens: lens.or(told.lens),
             lighting,
         };
-        if let Some(remark) = sensor_levels::remark(&self.measured, settings) {
-            self.remark(remark);
-        }
         let (shutter, aperture, iso) = (settings.shutter, settings.aperture, settings.iso);
         let file = self.place(path, &blake3);
         self.shots.push(Shot { file, blake3, shutter, aperture, iso, left_out: None });
         self.paths.push(path.to_owned());
         self.pictures.push(report::shots::picture(&photo.mosaic).ok());
+        self.settings.push(photo.settings.clone());
         Ok(photo)
     }
 
@@ -220,6 +222,17 @@ impl<'a> Series<'a> {
         }
     }
 
+    /// The session's noise, where it was measured at the ISO of these settings and can be relied on.
+    pub(super) fn noise(&mut self, settings: &Settings) -> Result<Option<NoiseModel>, SeriesError> {
+        let noise::SessionNoise { model, remark, scaled } = noise::of(self.session, settings)?;
+        // A frame's own noise is nearer to the truth than an upper bound.
+        if scaled {
+            return Ok(None);
+        }
+        remark.into_iter().for_each(|remark| self.remark(remark));
+        Ok(model)
+    }
+
     /// A figure to be kept beside the chart, in a file whose name ends in `ending`.
     pub(super) fn figure(&mut self, ending: &'static str, bytes: Vec<u8>) {
         self.figures.push((ending, bytes));
@@ -239,7 +252,19 @@ impl<'a> Series<'a> {
         figure: &Chart,
         progress: &Progress,
     ) -> Result<Record<T>, SeriesError> {
-        let Self { session, kind, rig, shots, paths, remarks, pictures, mut figures, .. } = self;
+        let Self {
+            session,
+            kind,
+            measured: levels,
+            rig,
+            shots,
+            paths,
+            settings,
+            remarks,
+            pictures,
+            mut figures,
+        } = self;
+        verdict.sentences.extend(sensor_levels::remarks(&levels, &settings));
         verdict.sentences.extend(remarks);
         let count = paths.len();
         for (done, (shot, path)) in shots.iter().zip(&paths).enumerate() {

@@ -6,6 +6,7 @@ use super::{RecordError, Series, SeriesError};
 use crate::calibration::noise::{
     FrameMean, IsoInput, LightLevel, NoTransfer, NoiseFit, OtherSize, PairTiles, compare, fit, levels,
 };
+use crate::calibration::statistics::Z95;
 use crate::calibration::{Record, Verdict};
 use crate::export::chart::{self, Chart};
 use crate::pair::Settings;
@@ -113,6 +114,8 @@ pub struct SessionNoise {
     pub model: Option<NoiseModel>,
     /// Why there is no model though noise was measured, or why it is but a bound: for people.
     pub remark: Option<String>,
+    /// Whether the model was measured at another ISO, and is an upper bound.
+    pub scaled: bool,
 }
 
 /// The session's noise at these settings. That of another body is an error; that of another ISO is scaled to this one,
@@ -124,7 +127,7 @@ pub fn of(session: &Session, settings: &Settings) -> Result<SessionNoise, Record
     record.rig.same_body(settings, "the noise calibration").map_err(other)?;
     let without = |why: &str| {
         let remark = format!("The noise calibration is not used for variances: {why}.");
-        Ok(SessionNoise { model: None, remark: Some(remark) })
+        Ok(SessionNoise { remark: Some(remark), ..SessionNoise::default() })
     };
     if !record.verdict.good {
         return without("its own verdict is that it cannot be relied on; calibrate noise again");
@@ -144,7 +147,7 @@ pub fn of(session: &Session, settings: &Settings) -> Result<SessionNoise, Record
             found.measured_at
         )
     });
-    Ok(SessionNoise { model: Some(found.model), remark })
+    Ok(SessionNoise { model: Some(found.model), remark, scaled: found.scaled })
 }
 
 fn frame<'a>(
@@ -208,7 +211,7 @@ fn input(
                     series.leave_out(first.shot, why.into());
                     series.leave_out(second.shot, why.into());
                 } else {
-                    found.push(tiles);
+                    found.push(PairTiles { shot_numbers: vec![first.shot, second.shot], ..tiles });
                 }
             }
             Ok(found)
@@ -276,7 +279,7 @@ fn figure(fit: &NoiseFit, verdict: &Verdict) -> Chart {
         let own = first.into_iter().flat_map(|noise| &noise.residuals).filter(|r| r.colour == colour);
         chart::Series {
             name: colour.to_owned(),
-            points: own.map(|r| (r.signal_dn, r.variance_dn2, r.variance_dn2_standard_error)).collect(),
+            points: own.map(|r| (r.signal_dn, r.variance_dn2, Z95 * r.variance_dn2_standard_error)).collect(),
         }
     });
     let at = first.map_or_else(String::new, |noise| format!(" at {}", noise.iso));
@@ -319,7 +322,8 @@ mod tests {
         assert_eq!(of(&session, &of_model("A", 100.0)).unwrap(), SessionNoise::default());
         keep(&session, true);
         let own = of(&session, &of_model("A", 100.0)).unwrap();
-        assert_eq!(own, SessionNoise { model: Some(NoiseModel { gain: 0.25, floor: 2.0 }), remark: None });
+        let model = Some(NoiseModel { gain: 0.25, floor: 2.0 });
+        assert_eq!(own, SessionNoise { model, remark: None, scaled: false });
         let scaled = of(&session, &of_model("A", 400.0)).unwrap();
         assert_eq!(scaled.model, Some(NoiseModel { gain: 1.0, floor: 32.0 }));
         let remark = scaled.remark.unwrap();

@@ -24,7 +24,10 @@ pub fn correct(
     let bytes = std::fs::read(&path).map_err(|source| FlashError::Io { path, source })?;
     progress.report("reading the card shot", 0, 1);
     let mut reader = Reader::new(session, facts)?;
-    let card = reader.card(shot)?;
+    let mut card = reader.card(shot)?;
+    if let Some(colours) = &before.fit.colour_vignetting {
+        card.even_colours(colours);
+    }
     let settings = reader.first.ok_or(FlashError::NoShots)?;
     let (series, sights, notes) = (reader.series, reader.sights, reader.notes);
     let name = card.label.clone();

@@ -14,6 +14,7 @@ use super::calibrate::{self, Series};
 use super::card_tags::{self, TagFacts};
 use super::develop::room_ratio;
 use super::{levels, scene};
+use crate::calibration::statistics::Z95;
 use crate::calibration::tags::{CardPose, CardSight};
 use crate::calibration::{
     CardShot, FieldFactor, FlashCalibration, FlashFacts, Plane, Record, Target, fit_flash,
@@ -114,6 +115,9 @@ pub fn calibrate(
     };
     let intrinsics = lens(session, size, facts.focal_px)?;
     let known = vignetting::of(session, series.rig(), &settings, facts.vignetting)?;
+    if let Some(colours) = &known.colours {
+        cards.iter_mut().for_each(|card| card.even_colours(colours));
+    }
     let of_flash = FlashFacts {
         intrinsics: &intrinsics,
         ring,
@@ -123,6 +127,7 @@ pub fn calibrate(
         free_radii: facts.free_radii,
     };
     let mut fit = fit_flash(&cards, &of_flash)?;
+    fit.colour_vignetting = known.colours;
     fit.findings.flat_field = known.source;
     fit.findings.card_tags = reader.sights;
     tell_settings(&mut fit, &settings);
@@ -251,7 +256,7 @@ pub(super) fn picture(fit: &FlashCalibration) -> Chart {
         shown
             .filter_map(|c| {
                 let gain = c.gain? / c.measured_gain.unwrap_or(1.0);
-                Some((c.distance_m, 100.0 * (gain - 1.0), 100.0 * fit.findings.jitter_deviation))
+                Some((c.distance_m, 100.0 * (gain - 1.0), 100.0 * Z95 * fit.findings.jitter_deviation))
             })
             .collect::<Vec<_>>()
     };
@@ -260,7 +265,7 @@ pub(super) fn picture(fit: &FlashCalibration) -> Chart {
         (!points.is_empty()).then(|| chart::Series { name: name.to_owned(), points })
     };
     Chart {
-        caption: "Light of the card shots against the fitted flash, over the card's distance".into(),
+        caption: "Light of the card shots against the fitted flash, over the card's distance; the intervals are those of the flash's jitter".into(),
         across: "Distance, m".into(),
         up: "Measured over fitted - 1, %".into(),
         series: [named("used for the fit", false), named("kept from the fit", true)]

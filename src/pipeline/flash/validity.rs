@@ -106,9 +106,9 @@ pub(in crate::pipeline) fn scaled_for<'a>(
     let told = |(what, names): (String, Vec<&str>)| {
         let shown = names.iter().take(MOST_NAMES).copied().collect::<Vec<_>>().join(", ");
         match names.len() {
-            1 => format!("pair {shown}: {what}"),
-            n if n <= MOST_NAMES => format!("pairs {shown}: {what}"),
-            n => format!("pairs {shown} and {} more: {what}", n - MOST_NAMES),
+            1 => format!("Scaled, pair {shown}: {what}."),
+            n if n <= MOST_NAMES => format!("Scaled, pairs {shown}: {what}."),
+            n => format!("Scaled, pairs {shown} and {} more: {what}.", n - MOST_NAMES),
         }
     };
     Ok(scaled.into_iter().map(told).collect())

@@ -32,6 +32,7 @@ fn calibrated(lighting: Lighting, energy_counts: Option<f64>) -> Record<FlashCal
             radiance_dn_interval_95: None,
             radiance_dn_standard_error: None,
             field: crate::calibration::FieldFactor { coefficients: [0.0; 3] },
+            colour_vignetting: None,
             noise: NoiseModel { gain: 0.3, floor: 4.0 },
             target_reflectance: 0.94,
             iso: Some(100.0),
@@ -136,7 +137,10 @@ fn another_power_of_the_flash_is_scaled_where_energies_are_measured_and_else_ref
     let measured = calibrated(at_power(0.25), Some(1e5));
     assert_eq!(judged(&measured, &[at(0.25, Some(1.01e5)), at(0.25, None)]), Ok(vec![]));
     let scaled = judged(&measured, &[at(0.5, Some(2e5))]).unwrap();
-    assert!(scaled.len() == 1 && scaled[0].starts_with("pair 0007: the flash stood at 0.5"), "{scaled:?}");
+    assert!(
+        scaled.len() == 1 && scaled[0].starts_with("Scaled, pair 0007: the flash stood at 0.5"),
+        "{scaled:?}"
+    );
     for (calibration, energy) in [(&measured, None), (&calibrated(at_power(0.25), None), Some(2e5))] {
         let refused = judged(calibration, &[at(0.5, energy)]).unwrap_err();
         assert!(refused.contains("at 0.5 of its full power") && refused.contains("--one-shot"), "{refused}");
@@ -157,8 +161,8 @@ fn another_iso_or_aperture_is_scaled_aloud_and_one_not_told_refused() {
     assert_eq!(
         scaled,
         [
-            "pairs 1, 2, 3, 4 and 2 more: shot at f/11, ISO 200, the flash was calibrated at f/11, ISO 100: its light is \
-          taken to be 2.000 times as much, by the nominal steps"
+            "Scaled, pairs 1, 2, 3, 4 and 2 more: shot at f/11, ISO 200, the flash was calibrated at f/11, ISO 100: its light is \
+          taken to be 2.000 times as much, by the nominal steps."
         ]
     );
     let wider = Settings { aperture: Some(FNumber(8.0)), ..settings() };

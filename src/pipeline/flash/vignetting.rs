@@ -1,7 +1,7 @@
 //! What is known of the lens's vignetting before the flash is fitted.
 
 use super::FlashError;
-use crate::calibration::flat::FlatCalibration;
+use crate::calibration::flat::{FlatCalibration, FlatField, ProfilePoint};
 use crate::calibration::{FieldFactor, FlatSource, Record, Rig, Vignetting};
 use crate::pair::Settings;
 use crate::pipeline::calibrate::flat;
@@ -11,6 +11,8 @@ use crate::session::{Session, store};
 #[derive(Default)]
 pub(super) struct Known {
     pub(super) vignetting: Option<Vignetting>,
+    /// That of each colour, where they differ.
+    pub(super) colours: Option<FlatField>,
     pub(super) source: Option<FlatSource>,
     pub(super) sentence: Option<String>,
 }
@@ -43,12 +45,19 @@ pub(super) fn of(
     };
     let path = session.calibration_dir().join("flat.json");
     let blake3 = store::digest_file(&path).map_err(|source| FlashError::Io { path, source })?;
+    let colours = Some(record.fit.vignetting).filter(|_| record.fit.per_channel);
+    let by_colour = if colours.is_some() {
+        " Each colour has its own, which is taken out of the photographs too."
+    } else {
+        ""
+    };
     let sentence = format!(
-        "The vignetting is that of the session's flat field of {}; how well that is known is in the lobe's interval.",
+        "The vignetting is that of the session's flat field of {}; how well that is known is in the lobe's interval.{by_colour}",
         record.measured
     );
     Ok(Known {
         vignetting: Some(vignetting),
+        colours,
         source: Some(FlatSource { measured: record.measured, blake3 }),
         sentence: Some(sentence),
     })
@@ -59,9 +68,17 @@ fn usable(record: &Record<FlatCalibration>, rig: &Rig, settings: &Settings) -> R
     record.rig.same_polariser(&rig.lighting, "the flat field").map_err(|other| other.to_string())
 }
 
-/// One curve for all colours, as the flash's field is.
+/// One curve for all colours, as the flash's field is: that of light from which the colours' differences were taken out.
 fn measured(flat: &FlatCalibration) -> Option<Vignetting> {
     let curves = &flat.vignetting.coefficients;
     let coefficients = std::array::from_fn(|i| curves.iter().map(|curve| curve[i]).sum::<f64>() / 3.0);
-    Vignetting::of_profile(FieldFactor { coefficients }, &flat.profile)
+    let even = |colour: usize| {
+        let point = |p: &ProfilePoint| {
+            let q = p.radius * p.radius;
+            let light = p.light * flat.vignetting.mean_at_q(q) / flat.vignetting.at_q(q, colour);
+            ProfilePoint { light, ..*p }
+        };
+        flat.profile[colour].iter().map(point).collect()
+    };
+    Vignetting::of_profile(FieldFactor { coefficients }, &[0, 1, 2].map(even))
 }

@@ -3,6 +3,7 @@
 use super::super::energy::FlashAccount;
 use super::{fact, percent};
 use crate::calibration::Steadiness;
+use crate::calibration::statistics::Z95;
 use crate::export::chart::{Chart, Series};
 use crate::export::report::Block;
 use crate::pair::energy::ReferenceSource;
@@ -36,9 +37,9 @@ pub(super) fn blocks(account: &FlashAccount) -> Vec<Block> {
             ];
             facts.extend(losses.into_iter().filter_map(|(name, loss)| Some(fact(name, percent(-loss?)))));
             blocks.push(Block::Facts(facts));
-            let points = trend.pulses.iter().map(|p| (f64::from(p.pair), p.gain, p.deviation)).collect();
+            let points = trend.pulses.iter().map(|p| (f64::from(p.pair), p.gain, Z95 * p.deviation)).collect();
             blocks.push(Block::Chart(Chart {
-                caption: "Energy of each pair's pulse, as the photodiode measured it, with its standard deviation.".into(),
+                caption: "Energy of each pair's pulse, as the photodiode measured it.".into(),
                 across: "pair".into(),
                 up: "energy / reference".into(),
                 series: vec![Series { name: "energy".into(), points }],

@@ -2,10 +2,11 @@
 
 use super::{Told, Z95, ends, figure, figures, head, or_dash, used};
 use crate::calibration::Record;
-use crate::calibration::noise::{IsoNoise, Linearity, NoiseFit, PairResidual};
+use crate::calibration::noise::{IsoNoise, Linearity, LinearityStep, NoiseFit, PairResidual};
 use crate::export::calibration_report::{Piece, Row, Table};
 use crate::export::chart::{Chart, Curve, Plot, Series};
 use crate::session::Session;
+use std::collections::BTreeSet;
 
 const COLOURS: [&str; 3] = ["red", "green", "blue"];
 
@@ -23,7 +24,7 @@ pub(super) fn tell(_: &Session, record: &Record<NoiseFit>) -> Told {
         told.pieces.push(numbers(noise, &all, lit));
         if let Some(linearity) = &noise.linearity {
             told.pieces.push(Piece::Plot(straightness(noise, linearity)));
-            told.pieces.push(steps(noise, linearity, lit));
+            told.pieces.push(steps(noise, linearity));
         }
         told.pieces.push(residuals(noise));
     }
@@ -53,7 +54,7 @@ fn transfer(noise: &IsoNoise) -> Plot {
         curves,
         ..Plot::from(Chart {
             caption: format!(
-                "Photon transfer at {}: variance of one frame over its signal, pair by pair, with 95 % intervals. Dark pairs have no place on this axis.",
+                "Photon transfer at {}: variance of one frame over its signal, pair by pair. Dark pairs have no place on this axis.",
                 noise.iso
             ),
             across: "signal above black, DN".into(),
@@ -78,7 +79,7 @@ fn straightness(noise: &IsoNoise, linearity: &Linearity) -> Plot {
         joined: true,
         ..Plot::from(Chart {
             caption: format!(
-                "Linearity at {}: signal over what a straight line through black says, less 1, with 95 % intervals.",
+                "Linearity at {}: signal over what a straight line through black says, less 1.",
                 noise.iso
             ),
             across: "signal above black, DN".into(),
@@ -151,27 +152,39 @@ fn numbers(noise: &IsoNoise, all: &[usize], lit: &[usize]) -> Piece {
     ]);
     if let Some(linearity) = &noise.linearity {
         let [from, to] = linearity.range_dn;
+        let shots = |wanted: &dyn Fn(&LinearityStep) -> bool| -> Vec<usize> {
+            let own = linearity.steps.iter().filter(|step| wanted(step));
+            let shots: BTreeSet<usize> = own.flat_map(|step| step.shot_numbers.iter().copied()).collect();
+            shots.into_iter().collect()
+        };
+        let counting = shots(&|step| (from..=to).contains(&step.signal_dn));
         rows.push(figure(
             &format!("Linearity error from {from:.0} to {to:.0} DN"),
             format!("{:.3}", 100.0 * linearity.linearity_error),
             "%",
             None,
-            lit,
+            &counting,
         ));
         rows.push(figure(
             "Largest deviation",
             format!("{:+.3}", 100.0 * linearity.largest_deviation),
             "%",
             None,
-            lit,
+            &shots(&|step| step.deviation == linearity.largest_deviation),
         ));
-        rows.push(figure("Knee (deviation above 1 %)", or_dash(linearity.knee_dn, 0), "DN", None, lit));
+        rows.push(figure(
+            "Knee (deviation above 1 %)",
+            or_dash(linearity.knee_dn, 0),
+            "DN",
+            None,
+            &shots(&|_| true),
+        ));
     }
     figures(&format!("Figures at {}", noise.iso), rows)
 }
 
 /// Levels of light, the colours of each beside each other.
-fn steps(noise: &IsoNoise, linearity: &Linearity, lit: &[usize]) -> Piece {
+fn steps(noise: &IsoNoise, linearity: &Linearity) -> Piece {
     let mut lights: Vec<f64> = linearity.steps.iter().map(|step| step.light).collect();
     lights.sort_by(f64::total_cmp);
     lights.dedup();
@@ -186,7 +199,8 @@ fn steps(noise: &IsoNoise, linearity: &Linearity, lit: &[usize]) -> Piece {
             None => "-".into(),
         });
         let cells = std::iter::once(format!("{light:.3}")).chain(signals).chain(deviations);
-        Row { cells: cells.collect(), from: lit.to_vec() }
+        let from = own.into_iter().flatten().next().map_or_else(Vec::new, |step| step.shot_numbers.clone());
+        Row { cells: cells.collect(), from }
     });
     Piece::Table(Table {
         caption: format!(
@@ -221,7 +235,8 @@ fn residuals(noise: &IsoNoise) -> Piece {
         let variances = pair.map(|r| or_dash(r.map(|r| r.variance_dn2), 2));
         let errors = pair.map(|r| r.map_or_else(|| "-".into(), |r| format!("{:+.2}", off(r))));
         let cells = std::iter::once((number + 1).to_string()).chain(signals).chain(variances).chain(errors);
-        Row { cells: cells.collect(), from: vec![] }
+        let from = pair.into_iter().flatten().next().map_or_else(Vec::new, |r| r.shot_numbers.clone());
+        Row { cells: cells.collect(), from }
     });
     Piece::Table(Table {
         caption: format!(
