@@ -302,6 +302,7 @@ mod tests {
                 held_out: false,
             }],
             residual_rms: 0.0037,
+            misfit_rms: 0.0012,
             findings: Default::default(),
         };
         let summary = ProcessSummary {

@@ -9,7 +9,7 @@
 
 use super::card::{CardShot, SeenShot, Setting, Target};
 use super::check::{check, check_target, unfit};
-use super::{CardResidual, FEWEST_CELLS, FlashCalibration, FlashFitError, MOST_RESIDUAL, USUAL_JITTER};
+use super::{CardResidual, FEWEST_CELLS, FlashCalibration, FlashFitError, MOST_MISFIT, USUAL_JITTER, misfit};
 use crate::calibration::statistics::Z95;
 use crate::light::Ring;
 use crate::scene::Intrinsics;
@@ -86,9 +86,17 @@ pub fn correct_flash(
         .iter()
         .zip(&again)
         .flat_map(|(cell, m)| (0..3).map(|c| (cell.value[c] / m[c] - 1.0).powi(2)));
-    let rms = (off.sum::<f64>() / (3 * seen.cells.len()) as f64).sqrt();
-    if rms.is_nan() || rms > MOST_RESIDUAL {
-        return Err(FlashFitError::Residual(100.0 * rms));
+    let readings = (3 * seen.cells.len()) as f64;
+    let rms = (off.sum::<f64>() / readings).sqrt();
+    let squares = seen
+        .cells
+        .iter()
+        .zip(&again)
+        .flat_map(|(cell, m)| (0..3).map(|c| (cell.value[c] - m[c]).powi(2) / cell.variance[c]));
+    let dispersion = (squares.sum::<f64>() / (readings - 3.0)).max(1.0);
+    let misfit_rms = misfit(rms, dispersion);
+    if misfit_rms.is_nan() || misfit_rms > MOST_MISFIT {
+        return Err(FlashFitError::Residual(100.0 * misfit_rms));
     }
     // The shot's own jitter stays in the factor unless its pulse was measured.
     let energy_counts = shot.energy_counts.filter(|e| *e > 0.0);
@@ -103,6 +111,7 @@ pub fn correct_flash(
         (before * before + jitter * jitter + noise[c] * noise[c]).sqrt()
     });
     let mut findings = base.findings.clone();
+    findings.dispersion = dispersion;
     findings.second_render_ratio = std::array::from_fn(|c| measured[c] / second[c]);
     findings.target_factor_by_angle_rad.clone_from(&target.curve);
     (findings.left_one_out_error, findings.held_out_error) = (None, None);
@@ -132,6 +141,7 @@ pub fn correct_flash(
         energy_counts,
         cards: vec![card],
         residual_rms: rms,
+        misfit_rms,
         findings,
         ..base.clone()
     })

@@ -5,8 +5,8 @@ use super::check::{check, check_target, unfit};
 use super::mixed::{ShotSums, Solution, solve};
 use super::model::{Cards, Figure, first_guess};
 use super::{
-    CardResidual, FEWEST_CELLS, FlashCalibration, FlashFacts, FlashFindings, FlashFitError, MOST_RESIDUAL,
-    USUAL_JITTER, Vignetting,
+    CardResidual, FEWEST_CELLS, FlashCalibration, FlashFacts, FlashFindings, FlashFitError, MOST_MISFIT,
+    USUAL_JITTER, Vignetting, misfit,
 };
 use crate::light::Ring;
 
@@ -48,8 +48,9 @@ pub fn fit_flash(shots: &[CardShot], facts: &FlashFacts) -> Result<FlashCalibrat
     let count: f64 = solution.sums.iter().map(|s| s.count).sum();
     let squares: f64 = solution.sums.iter().zip(&shot_rms).map(|(s, rms)| s.count * rms * rms).sum();
     let rms = (squares / count).sqrt();
-    if rms.is_nan() || rms > MOST_RESIDUAL {
-        return Err(FlashFitError::Residual(100.0 * rms));
+    let misfit_rms = misfit(rms, solution.dispersion);
+    if misfit_rms.is_nan() || misfit_rms > MOST_MISFIT {
+        return Err(FlashFitError::Residual(100.0 * misfit_rms));
     }
     let single = used.len() == 1;
     let residuals = shots.iter().enumerate().map(|(s, shot)| {
@@ -102,6 +103,7 @@ pub fn fit_flash(shots: &[CardShot], facts: &FlashFacts) -> Result<FlashCalibrat
         energy_counts,
         cards: cards_told,
         residual_rms: rms,
+        misfit_rms,
         findings,
     })
 }

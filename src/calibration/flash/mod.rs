@@ -54,8 +54,14 @@ const FEWEST_CELLS: usize = 8;
 /// The flash's jitter where the shots are too few to tell it: the thesis's 0.0029.
 const USUAL_JITTER: f64 = 0.0029;
 
-/// Largest root mean square residual (relative) of a calibration that may be used.
-const MOST_RESIDUAL: f64 = 0.1;
+/// Largest misfit (relative) of a calibration that may be used.
+const MOST_MISFIT: f64 = 0.1;
+
+/// Part of a root mean square residual that the sensor's noise does not account for; `dispersion`, 1 at least, is the
+/// residuals' variance over the sensor's.
+fn misfit(residual_rms: f64, dispersion: f64) -> f64 {
+    residual_rms * (1.0 - dispersion.recip()).sqrt()
+}
 
 /// Product of vignetting and lamp lobe over the field, 1 on the axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -198,6 +204,8 @@ pub struct FlashCalibration {
     pub cards: Vec<CardResidual>,
     /// Root mean square of (measured / model - 1) over all cells used, each shot's own energy taken out.
     pub residual_rms: f64,
+    /// What of it the sensor's noise does not account for: `residual_rms sqrt(1 - 1 / dispersion)`.
+    pub misfit_rms: f64,
     /// Intervals and tests.
     #[serde(default)]
     pub findings: FlashFindings,

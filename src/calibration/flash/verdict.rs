@@ -7,8 +7,8 @@ use crate::calibration::{Verdict, holds};
 /// Largest standard error of the radiance that is good, relative.
 const MOST_ERROR: f64 = 0.005;
 
-/// Largest residual that is good, relative.
-const MOST_RESIDUAL: f64 = 0.03;
+/// Largest misfit that is good, relative.
+const MOST_MISFIT: f64 = 0.03;
 
 /// Largest mean error of a prediction that is good, relative.
 const MOST_PREDICTION: f64 = 0.01;
@@ -30,7 +30,7 @@ impl FlashCalibration {
         let agreed = used != 1 || second <= AGREED;
         let good = agreed
             && error <= MOST_ERROR
-            && self.residual_rms <= MOST_RESIDUAL
+            && self.misfit_rms <= MOST_MISFIT
             && predicted.is_none_or(|p| p <= MOST_PREDICTION)
             && law.is_none_or(|(exponent, interval)| holds(interval, 2.0) || (exponent - 2.0).abs() < 0.02);
         let mut said = vec![match good {
@@ -40,9 +40,9 @@ impl FlashCalibration {
                 plural(used)
             ),
             false => format!(
-                "Do not rely on this calibration: energy known to {}, residual {}{}.",
+                "Do not rely on this calibration: energy known to {}, cells off the model by {} beyond the sensor's noise{}.",
                 percent(error),
-                percent(self.residual_rms),
+                percent(self.misfit_rms),
                 predicted.map_or_else(String::new, |p| format!(", shots predicted within {}", percent(p)))
             ),
         }];

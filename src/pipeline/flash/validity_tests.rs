@@ -41,6 +41,7 @@ fn calibrated(lighting: Lighting, energy_counts: Option<f64>) -> Record<FlashCal
             energy_counts,
             cards: vec![],
             residual_rms: 0.0,
+            misfit_rms: 0.0,
             findings: FlashFindings::default(),
         },
     }
