@@ -88,3 +88,23 @@ fn settled(
         _ => Ok(photo),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::photometry::levels::LevelsAt;
+
+    #[test]
+    fn all_isos_without_levels_are_named_in_one_sentence() {
+        let at = LevelsAt { iso: Iso(100.0), black: [[None; 2]; 2], saturation: [[None; 2]; 2] };
+        let measured = MeasuredLevels { model: Some("A".into()), serial: None, isos: vec![at] };
+        let of =
+            |iso: Option<f64>| Settings { model: Some("A".into()), iso: iso.map(Iso), ..Settings::default() };
+        let frames = [Some(200.0), Some(100.0), Some(125.0), None, Some(200.0), None].map(of);
+        let said = remarks(&measured, &frames);
+        assert_eq!(said.len(), 2, "{said:?}");
+        assert!(said[0].ends_with("does not tell its ISO."), "{said:?}");
+        assert!(said[1].contains("at ISO 100, not at ISO 125, ISO 200, where"), "{said:?}");
+        assert_eq!(remark(&measured, &frames[1]), None);
+    }
+}

@@ -65,9 +65,11 @@ fn a_calibration_comes_with_its_shots_and_replaces_none_without_keeping_it() {
     assert_eq!(former(&own).len(), 2);
     // What cannot be read any more is no less kept, and not called damaged.
     let path = Path::new(&own).join("calibration/levels.json");
-    std::fs::write(&path, "{\"black\": 2048}").unwrap();
-    let (well, _, complained) = unlit(&["calibrate", "take", &donor, "--from", &own]);
-    assert!(!well && complained.contains("an earlier version"), "{complained}");
+    for older in ["{\"schema\": 1, \"levels\": []}", "{\"black\": 2048}"] {
+        std::fs::write(&path, older).unwrap();
+        let (well, _, complained) = unlit(&["calibrate", "take", &donor, "--from", &own]);
+        assert!(!well && complained.contains("an earlier version"), "{complained}");
+    }
     levels(&own, 0..4);
     assert_eq!(former(&own).len(), 3);
 }

@@ -433,7 +433,7 @@ fn colours_of_different_vignettings_are_fitted_by_one_field_once_they_are_evened
     let mut drawn = draw(4, false);
     let mean = FieldFactor { coefficients: drawn.field };
     let [a, b, c] = drawn.field;
-    let colours = FlatField { coefficients: [[a - 0.03, b, c], [a + 0.01, b, c], [a + 0.02, b, c]] };
+    let colours = FlatField { coefficients: [[a - 0.09, b, c], [a + 0.03, b, c], [a + 0.06, b, c]] };
     for shot in &mut drawn.shots {
         for cell in &mut shot.cells {
             for colour in 0..3 {

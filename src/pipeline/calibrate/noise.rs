@@ -211,7 +211,10 @@ fn input(
                     series.leave_out(first.shot, why.into());
                     series.leave_out(second.shot, why.into());
                 } else {
-                    found.push(PairTiles { shot_numbers: vec![first.shot, second.shot], ..tiles });
+                    found.push(PairTiles {
+                        shot_numbers: vec![first.shot.min(second.shot), first.shot.max(second.shot)],
+                        ..tiles
+                    });
                 }
             }
             Ok(found)
