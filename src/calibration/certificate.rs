@@ -253,7 +253,7 @@ mod tests {
             let found =
                 std::array::from_fn(|c| truth[c] + sd[c] * ((0..12).map(|_| even()).sum::<f64>() - 6.0));
             let judged = Comparison::of(&reading(known, found, Some(sd)));
-            inside += (0..3).filter(|&c| (found[c] - truth[c]).abs() <= NORMAL_95 * sd[c]).count();
+            inside += (0..3).filter(|&c| (found[c] - truth[c]).abs() <= Z95 * sd[c]).count();
             let real = Comparison::of(&reading(known, truth, None)).within_2_percent.passes;
             if judged.within_2_percent.sure == Some(true) {
                 sure += 1;
