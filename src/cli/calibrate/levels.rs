@@ -38,6 +38,7 @@ pub(super) fn run(args: &LevelsArgs) -> CliResult {
     );
     let with_error = |value: Option<f64>, error: Option<f64>| match (value, error) {
         (Some(value), Some(error)) => format!("{value:.3} +- {error:.3}"),
+        (Some(value), None) => format!("{value:.3}"),
         _ => "-".to_owned(),
     };
     let whole = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.0}"));
