@@ -6,6 +6,7 @@ pub mod exposure;
 mod flash;
 pub mod flat;
 pub mod guide;
+mod histogram;
 pub mod levels;
 mod linear;
 pub mod noise;
@@ -20,9 +21,10 @@ pub use flash::{
     CardResidual, CardShot, Cell, Correction, FieldFactor, FlashCalibration, FlashFacts, FlashFindings,
     FlashFitError, FlatSource, Plane, Target, Vignetting, correct_flash, fit_flash,
 };
+pub use histogram::Steps;
 pub use levels::LevelsFit;
 pub use noise::NoiseFit;
-pub use record::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
+pub use record::{NotMeasured, OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 pub(crate) use steadiness::FEWEST_SHOTS;
 pub use steadiness::{Steadiness, SteadyError, SteadyShot, steadiness};
 

@@ -68,6 +68,22 @@ pub struct Shot {
     pub left_out: Option<String>,
 }
 
+/// An ISO whose shots did not tell what they were taken for. What the other ISOs' shots told stands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct NotMeasured {
+    /// ISO label.
+    pub iso: Iso,
+    /// Why, in words.
+    pub why: String,
+}
+
+impl NotMeasured {
+    /// In one sentence.
+    pub(super) fn words(&self, missing: &str) -> String {
+        format!("At {} {missing}: {}.", self.iso, self.why)
+    }
+}
+
 /// Whether a fit can be relied on, in words for people.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Verdict {

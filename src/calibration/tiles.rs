@@ -13,7 +13,8 @@
 //! A tile is over-exposed in a colour if its mean lies above `HIGHEST` of the range or more than `STRAY` of its
 //! sites are clipped. Whole tiles go by their mean, never single sites by their own value: leaving out the sites that
 //! noise has lifted over a limit would make the rest too dark. Single clipped sites in a dark tile are defects of the
-//! sensor and are left out.
+//! sensor and are left out. A tile of which as much lies at 0 DN is left out too: what noise makes of it below that was cut
+//! off, and its mean lies too high.
 
 use crate::pair::Settings;
 use crate::photometry::{Cfa, Mosaic, NoiseModel};
@@ -24,7 +25,7 @@ const MOST: usize = 96;
 const LEAST: usize = 8;
 /// Share of the range from black to saturation up to which a tile's mean is believed.
 pub const HIGHEST: f64 = 0.9;
-/// Share of clipped sites that are taken for defects, stuck in whatever light, and left out of means.
+/// Share of clipped sites, and of sites at 0 DN, that are taken for defects.
 pub(super) const STRAY: f64 = 1e-3;
 
 /// One colour of one tile.
@@ -51,6 +52,8 @@ pub struct Tiles {
     pub tiles: Vec<[Option<Tile>; 3]>,
     /// Share of tiles and colours that are over-exposed, 0 to 1.
     pub over_exposed: f64,
+    /// Share of tiles and colours that are cut off at 0 DN, 0 to 1.
+    pub cut_off: f64,
 }
 
 /// A frame of something even, reduced.
@@ -73,6 +76,8 @@ struct Sums {
     light: f64,
     sites: f64,
     clipped: f64,
+    /// Sites at 0 DN.
+    nought: f64,
     /// Squared second differences, and their count.
     squares: f64,
     differences: f64,
@@ -88,7 +93,7 @@ impl Tiles {
             return Err(TooSmall(width, height));
         }
         let (mut tiles, mut spreads) = (vec![], vec![]);
-        let (mut lost, mut all) = (0.0, 0.0);
+        let (mut lost, mut cut, mut all) = (0.0, 0.0, 0.0);
         for (row, column) in (0..grid.1).flat_map(|row| (0..grid.0).map(move |column| (row, column))) {
             let (x, y) = (edges(width, grid.0, column), edges(height, grid.1, row));
             let mut tile = [None; 3];
@@ -97,11 +102,12 @@ impl Tiles {
                 let Some((mean, variance, sites)) = measure(frame, x, y, colour) else { continue };
                 all += 1.0;
                 match mean {
-                    Some(mean) => {
+                    Mean::Known(mean) => {
                         tile[colour] = Some(Tile { mean, variance: 0.0, sites });
                         spread[colour] = variance;
                     }
-                    None => lost += 1.0,
+                    Mean::OverExposed => lost += 1.0,
+                    Mean::CutOff => cut += 1.0,
                 }
             }
             tiles.push(tile);
@@ -117,7 +123,8 @@ impl Tiles {
             }
         }
         let over_exposed = if all > 0.0 { lost / all } else { 1.0 };
-        Ok(Self { size: (width, height), cfa: frame.cfa, grid, tiles, over_exposed })
+        let cut_off = if all > 0.0 { cut / all } else { 0.0 };
+        Ok(Self { size: (width, height), cfa: frame.cfa, grid, tiles, over_exposed, cut_off })
     }
 
     /// Mean above black of each colour over the tiles that are not over-exposed, DN; `None` without any.
@@ -142,17 +149,23 @@ fn edges(sites: usize, tiles: usize, number: usize) -> (usize, usize) {
     (2 * (number * cells / tiles), 2 * ((number + 1) * cells / tiles))
 }
 
-/// Mean above black (`None` if over-exposed), variance of single sites and their count; `None` without sites.
-#[allow(clippy::type_complexity, reason = "one caller takes it apart at once")]
+/// Mean above black of one colour of a tile, DN, or why there is none.
+enum Mean {
+    Known(f64),
+    OverExposed,
+    CutOff,
+}
+
+/// Mean above black, variance of single sites and their count; `None` without sites.
 fn measure(
     frame: &Mosaic,
     x: (usize, usize),
     y: (usize, usize),
     colour: usize,
-) -> Option<(Option<f64>, Option<f64>, f64)> {
+) -> Option<(Mean, Option<f64>, f64)> {
     let width = frame.dn.width();
     let (mut light, mut sites, mut squares, mut differences) = (0.0, 0.0, 0.0, 0.0);
-    let (mut found, mut over) = (false, false);
+    let (mut found, mut over, mut cut) = (false, false, false);
     for (py, px) in frame.cfa.positions(colour) {
         found = true;
         let (black, saturation) = (frame.levels.black[py][px], frame.levels.saturation[py][px]);
@@ -161,6 +174,7 @@ fn measure(
             let values = frame.dn.pixels().get(row * width + x.0 + px..row * width + x.1).unwrap_or_default();
             let (mut before, mut last) = (None, None);
             for &dn in values.iter().step_by(2) {
+                sums.nought += f64::from(u8::from(dn == 0));
                 let dn = f32::from(dn);
                 if dn >= saturation {
                     sums.clipped += 1.0;
@@ -180,16 +194,22 @@ fn measure(
         }
         let top = HIGHEST * f64::from(saturation - black);
         over |= sums.clipped > STRAY * (sums.sites + sums.clipped) || sums.light > top * sums.sites;
+        cut |= sums.nought > STRAY * sums.sites;
         light += sums.light;
         sites += sums.sites;
         squares += sums.squares;
         differences += sums.differences;
     }
     if !found || sites == 0.0 {
-        return found.then_some((None, None, 0.0));
+        return found.then_some((Mean::OverExposed, None, 0.0));
     }
     let variance = (differences > 0.0).then(|| squares / differences);
-    Some(((!over).then_some(light / sites), variance, sites))
+    let mean = match (over, cut) {
+        (true, _) => Mean::OverExposed,
+        (false, true) => Mean::CutOff,
+        (false, false) => Mean::Known(light / sites),
+    };
+    Some((mean, variance, sites))
 }
 
 /// The line through the tiles' own variances of a single site: constant, DN^2, and slope against the mean, DN.
@@ -263,5 +283,21 @@ mod tests {
         assert!(tiles.tiles[7][0].is_some() && tiles.tiles[7][1].is_none());
         assert!(tiles.tiles[5 * 8 + 5][0].is_none(), "one of sixteen sites is more than a stray one");
         assert!((tiles.over_exposed - (3.0 + 4.0 + 1.0) / 192.0).abs() < 1e-12, "{}", tiles.over_exposed);
+        assert_eq!(tiles.cut_off, 0.0);
+    }
+
+    #[test]
+    fn a_tile_whose_noise_is_cut_off_at_nought_does_not_count() {
+        let tiles = Tiles::of(
+            &frame(64, 64, |x, y| match (x, y) {
+                (0..8, 0..8) if (x / 2 + y / 2) % 2 == 0 => 0,
+                _ => 600,
+            }),
+            None,
+        )
+        .unwrap();
+        assert_eq!(tiles.tiles[0], [None; 3]);
+        assert_eq!((tiles.over_exposed, tiles.cut_off), (0.0, 3.0 / 192.0));
+        assert_eq!(tiles.means(), [Some(500.0); 3]);
     }
 }

@@ -4,16 +4,21 @@ use crate::samples::shared;
 use serde_json::Value;
 use std::process::Command;
 
-/// Runs the program with `--json`; gives what it printed.
-pub(crate) fn json(arguments: &[String]) -> Value {
+/// Runs the program, which must succeed; gives what it printed.
+pub(crate) fn succeed(arguments: &[String]) -> Vec<u8> {
     let output = Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap();
     let complained = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "unlit {arguments:?}: {complained}");
-    if output.stdout.is_empty() {
-        Value::Null
-    } else {
-        serde_json::from_slice(&output.stdout).unwrap_or(Value::Null)
-    }
+    output.stdout
+}
+
+/// Runs the program with `--json`; gives what it printed, which must be a JSON object.
+pub(crate) fn json(arguments: &[String]) -> Value {
+    let printed = succeed(arguments);
+    let value: Value = serde_json::from_slice(&printed)
+        .unwrap_or_else(|e| panic!("unlit {arguments:?}: {e} in {}", String::from_utf8_lossy(&printed)));
+    assert!(value.is_object(), "unlit {arguments:?}: {value}");
+    value
 }
 
 pub(crate) fn file(path: &str) -> String {
@@ -27,7 +32,7 @@ pub(crate) fn truth() -> Value {
 /// A new session's path.
 pub(crate) fn session(folder: &std::path::Path) -> String {
     let path = folder.join("bath").display().to_string();
-    json(&["new".into(), path.clone()]);
+    succeed(&["new".into(), path.clone()]);
     path
 }
 
@@ -43,7 +48,9 @@ fn black_and_saturation_of_the_bird_baths_camera_are_exact_and_what_never_clips_
     let record = json(&arguments);
     let sensor = &truth()["sensor"];
     let levels = &record["levels"][0];
-    for site in levels["sites"].as_array().unwrap() {
+    let sites = levels["sites"].as_array().unwrap();
+    assert_eq!(sites.len(), 4);
+    for site in sites {
         println!("{site}");
         let of = |name: &str| site[name].as_f64().unwrap();
         let black = of("black_dn") - sensor["black_dn"].as_f64().unwrap();
@@ -51,7 +58,7 @@ fn black_and_saturation_of_the_bird_baths_camera_are_exact_and_what_never_clips_
         let read = of("read_noise_dn") * sensor["electrons_per_dn"].as_f64().unwrap();
         assert!((read / sensor["read_noise_e"].as_f64().unwrap() - 1.0).abs() < 0.08, "{site}");
         if site["colour"] == "green" {
-            assert_eq!(site["saturation_dn"], sensor["saturation_dn"].as_f64().unwrap());
+            assert_eq!(of("saturation_dn"), sensor["saturation_dn"].as_f64().unwrap());
         } else {
             assert!(site.get("saturation_dn").is_none(), "{site}");
             assert!(site["not_reached"].as_str().unwrap().contains("not blown"), "{site}");
@@ -79,7 +86,7 @@ fn of_another_body(path: &str) -> Vec<u8> {
 }
 
 /// What the program answers: exit code, stdout, stderr.
-fn answer(arguments: &[&str]) -> (Option<i32>, String, String) {
+pub(crate) fn answer(arguments: &[&str]) -> (Option<i32>, String, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     (output.status.code(), text(&output.stdout), text(&output.stderr))
@@ -90,7 +97,7 @@ fn levels_of_another_body_are_refused_and_those_of_another_iso_are_said_not_to_c
     let folder = tempfile::tempdir().unwrap();
     let session = session(folder.path());
     let (darks, lit) = ([0, 1].map(|i| file(&format!("calibration/dark/{i}.dng"))), file("bad/good_on.dng"));
-    json(&[
+    succeed(&[
         "calibrate".into(),
         "levels".into(),
         session.clone(),
@@ -103,7 +110,7 @@ fn levels_of_another_body_are_refused_and_those_of_another_iso_are_said_not_to_c
     let told = json(&["inspect", &bright, "--session", &session, "--json"].map(String::from));
     let why = told["levels_not_used"].as_str().unwrap();
     assert!(why.contains("not at ISO 1600"), "{why}");
-    assert_ne!(told["levels"]["black_source"], "measured");
+    assert_eq!(told["levels"]["black_source"], "file_tag");
     let (_, said, _) = answer(&["inspect", &bright, "--session", &session]);
     assert!(said.contains("not at ISO 1600"), "{said}");
     let told = json(&["inspect", &lit, "--session", &session, "--json"].map(String::from));

@@ -1,6 +1,6 @@
 //! The report of a session's calibrations: one page that needs nothing else, on which every figure leads to its shots.
 
-use crate::calibrate_levels::{file, json};
+use crate::calibrate_levels::{file, succeed};
 use crate::raw::sample;
 use roxmltree::{Document, Node, ParsingOptions};
 use std::collections::HashSet;
@@ -20,12 +20,12 @@ fn run(words: &[&str], session: &str, files: Vec<String>) {
     let mut arguments: Vec<String> = vec!["calibrate".into(), words[0].into(), session.into()];
     arguments.extend(words[1..].iter().map(|word| (*word).to_owned()));
     arguments.extend(files);
-    json(&arguments);
+    succeed(&arguments);
 }
 
 fn session(folder: &Path, name: &str) -> String {
     let path = folder.join(name).display().to_string();
-    json(&["new".into(), path.clone()]);
+    succeed(&["new".into(), path.clone()]);
     path
 }
 

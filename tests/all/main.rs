@@ -16,6 +16,7 @@ mod calibrate_json;
 mod calibrate_levels;
 mod calibrate_noise;
 mod calibrate_report;
+mod calibrate_sensor;
 mod calibrate_take;
 mod camera;
 mod camera_faults;

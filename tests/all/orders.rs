@@ -109,6 +109,7 @@ impl House {
             energy_counts: None,
             cards: vec![],
             residual_rms: 0.0,
+            misfit_rms: 0.0,
             findings: Default::default(),
         };
         known_sites(&self.session, pair, &calibration).unwrap()

@@ -41,6 +41,8 @@ use std::collections::{BTreeMap, BTreeSet};
 const LEAST_FRAME: f64 = 0.02;
 /// Largest relative standard error of a shot's light for it to count.
 const MOST_ERROR: f64 = 0.01;
+/// A deviation beyond half a third of a stop is no tolerance of a camera.
+const HALF_STEP: f64 = 0.122;
 
 /// The thesis's table 3.2: its camera against the ideal. Mean, max, min, SD by setting, in the order of
 /// [`Setting::ALL`]. Its max and min are magnitudes (its means lie below its minima).
@@ -102,6 +104,9 @@ pub struct Ladder {
     /// Scatter of shots of one label beyond noise, relative; absent if none was shot twice.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeat_sd: Option<f64>,
+    /// Why its factors are not used: absent if they are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub not_used: Option<String>,
     /// Of the deviations, step 00 not among them.
     pub summary: Summary,
     /// Of the deviations of each step from the one before it, as the thesis compares them.
@@ -113,14 +118,23 @@ pub struct Ladder {
 pub struct ExposureFit {
     /// By setting.
     pub ladders: Vec<Ladder>,
+    /// Ladders whose shots told nothing.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub not_measured: Vec<LadderNotMeasured>,
+}
+
+/// A ladder whose shots told nothing.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LadderNotMeasured {
+    /// What moves.
+    pub setting: Setting,
+    /// Why, in words.
+    pub why: String,
 }
 
 /// Why no table came out.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ExposureFitError {
-    /// Shots of different sizes.
-    #[error("the shots have different sizes ({} x {} and {} x {} pixels); give full frames of one camera", .0.0, .0.1, .1.0, .1.1)]
-    Sizes((usize, usize), (usize, usize)),
     /// No ladder in the shots.
     #[error(
         "no ladder is among the {shots} usable shots of {given}: three labels or more of one setting are needed that share the other two (ISO, shutter, aperture) and are neither over-exposed nor dark{first}"
@@ -138,21 +152,28 @@ pub enum ExposureFitError {
 /// A table, and by shot why it was left out.
 pub type Fitted = (ExposureFit, Vec<Option<String>>);
 
-/// Finds the ladders and measures them. `shots` in the order in which they were taken, all of one size.
+/// Finds the ladders and measures them. `shots` in the order in which they were taken; those of another size than most do
+/// not count. A ladder that cannot be measured or used is named with the reason, and the others stand.
 pub fn fit_exposure(shots: &[EvenFrame]) -> Result<Fitted, ExposureFitError> {
-    if let Some(pair) = shots.windows(2).find(|pair| pair[0].tiles.size != pair[1].tiles.size) {
-        return Err(ExposureFitError::Sizes(pair[0].tiles.size, pair[1].tiles.size));
-    }
-    let mut left_out: Vec<Option<String>> = shots.iter().map(|shot| unfit(&shot.tiles)).collect();
+    let mut sizes: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    shots.iter().for_each(|shot| *sizes.entry(shot.tiles.size).or_default() += 1);
+    let common = sizes.into_iter().max_by_key(|(_, shots)| *shots).map_or((0, 0), |(size, _)| size);
+    let mut left_out: Vec<Option<String>> = shots.iter().map(|shot| unfit(&shot.tiles, common)).collect();
     let usable: Vec<usize> = (0..shots.len()).filter(|&s| left_out[s].is_none()).collect();
     let settings: Vec<Settings> = usable.iter().map(|&s| shots[s].settings.clone()).collect();
     let mut found = ladder::find(&settings);
     for shot in found.iter_mut().flat_map(|ladder| &mut ladder.shots) {
         *shot = usable[*shot];
     }
-    let (mut ladders, mut used) = (vec![], BTreeSet::<usize>::new());
+    let (mut ladders, mut not_measured, mut used) = (vec![], vec![], BTreeSet::<usize>::new());
     for found in &found {
-        let Some(ladder) = measure(found, shots) else { continue };
+        let Some(mut ladder) = measure(found, shots) else {
+            let why =
+                "no two of its steps have a part of the frame in common that is over-exposed in neither";
+            not_measured.push(LadderNotMeasured { setting: found.setting, why: why.into() });
+            continue;
+        };
+        ladder.not_used = beyond_tolerance(&ladder);
         let step = |label: f64| ladder::key(found.setting, label);
         let measured: BTreeSet<i64> = ladder.steps.iter().map(|s| step(s.label)).collect();
         let label = |s: usize| found.setting.label(&shots[s].settings);
@@ -170,13 +191,35 @@ pub fn fit_exposure(shots: &[EvenFrame]) -> Result<Fitted, ExposureFitError> {
         };
         left_out[shot] = Some(why.to_owned());
     }
-    Ok((ExposureFit { ladders }, left_out))
+    Ok((ExposureFit { ladders, not_measured }, left_out))
 }
 
-/// Why a shot cannot be measured.
-fn unfit(tiles: &Tiles) -> Option<String> {
+/// Why a ladder's factors cannot be a camera's.
+fn beyond_tolerance(ladder: &Ladder) -> Option<String> {
+    let worst = ladder.steps.iter().max_by(|a, b| a.deviation.abs().total_cmp(&b.deviation.abs()))?;
+    (worst.deviation.abs() > HALF_STEP).then(|| {
+        format!(
+            "{} is {:+.1} % off its label, more than half a step; either the light changed, or a frame's labels are wrong: shoot the \
+             ladder again in steady light with everything on manual",
+            ladder.setting.words(worst.label),
+            100.0 * worst.deviation
+        )
+    })
+}
+
+/// Why a shot cannot be measured; `size` is that of most.
+fn unfit(tiles: &Tiles, size: (usize, usize)) -> Option<String> {
+    if tiles.size != size {
+        let ((width, height), (most, high)) = (tiles.size, size);
+        return Some(format!(
+            "is of {width} x {height} pixels, the others of {most} x {high}; give full frames of one camera"
+        ));
+    }
     if tiles.over_exposed > 1.0 - LEAST_FRAME {
         return Some(format!("is over-exposed over {:.0} % of the frame", 100.0 * tiles.over_exposed));
+    }
+    if tiles.cut_off + tiles.over_exposed > 1.0 - LEAST_FRAME {
+        return Some(format!("is too dark: {:.0} % of the frame is cut off at 0 DN", 100.0 * tiles.cut_off));
     }
     let (mut light, mut variance, mut sites) = (0.0, 0.0, 0.0);
     for tile in tiles.tiles.iter().flatten().flatten() {
@@ -291,6 +334,7 @@ fn measure(found: &ladder::Found, shots: &[EvenFrame]) -> Option<Ladder> {
         shared,
         step_00_dn: step_00 / sites,
         repeat_sd: scatter.map(f64::sqrt),
+        not_used: None,
         summary: summary(&steps.iter().skip(1).map(|step| step.deviation).collect::<Vec<_>>()),
         between_steps: summary(&between),
         steps,

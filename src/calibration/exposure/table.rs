@@ -32,7 +32,7 @@ pub enum ScaleSource {
 }
 
 impl ExposureTable {
-    /// The table of a fit; of several ladders of one setting, the longest counts. `same_lens`: whether the photographs
+    /// The table of a fit; of several ladders of one setting that can be used, the longest counts. `same_lens`: whether the photographs
     /// that it is for were taken through the lens of the fit; if not, its apertures are not used.
     pub fn of(fit: &ExposureFit, same_lens: bool) -> Self {
         let mut corrections = BTreeMap::new();
@@ -40,7 +40,7 @@ impl ExposureTable {
             if setting == Setting::Aperture && !same_lens {
                 continue;
             }
-            let own = fit.ladders.iter().filter(|ladder| ladder.setting == setting);
+            let own = fit.ladders.iter().filter(|l| l.setting == setting && l.not_used.is_none());
             let Some(ladder) = own.max_by_key(|ladder| ladder.steps.len()) else { continue };
             let logs: Vec<f64> = ladder.steps.iter().map(|step| step.deviation.ln_1p()).collect();
             let mean = logs.iter().sum::<f64>() / logs.len().max(1) as f64;

@@ -42,7 +42,14 @@ fn even(light: f64, noise: [f64; 2], random: &mut ChaCha8Rng) -> Tiles {
             (mean <= TOP).then_some(tile)
         }));
     }
-    Tiles { size: (96, 64), cfa: Cfa::RGGB, grid: (columns, rows), tiles, over_exposed: over / all }
+    Tiles {
+        size: (96, 64),
+        cfa: Cfa::RGGB,
+        grid: (columns, rows),
+        tiles,
+        over_exposed: over / all,
+        cut_off: 0.0,
+    }
 }
 
 /// A ladder whose steps are off by `deviations`, each shot `repeats` times with scatter `jitter`.
@@ -168,6 +175,14 @@ fn dark_and_over_exposed_shots_are_left_out_with_their_reason_and_no_ladder_is_a
     assert!(left_out[0].as_ref().unwrap().contains("too dark"), "{left_out:?}");
     assert!(left_out[5].as_ref().unwrap().contains("over-exposed over 100 %"), "{left_out:?}");
     assert_eq!(fit.ladders[0].steps.iter().map(|s| s.label).collect::<Vec<_>>(), ISOS[1..5]);
+    let mut two_bodies = shots[..5].to_vec();
+    two_bodies[4].tiles.size = (960, 640);
+    let (fit, left_out) = fit_exposure(&two_bodies).unwrap();
+    assert!(
+        left_out[4].as_ref().unwrap().contains("960 x 640 pixels, the others of 96 x 64"),
+        "{left_out:?}"
+    );
+    assert_eq!(fit.ladders[0].steps.len(), 3);
     let error = fit_exposure(&shots[3..]).unwrap_err().to_string();
     assert!(error.contains("2 usable shots of 3") && error.contains("over-exposed over"), "{error}");
 }
@@ -178,6 +193,16 @@ fn a_lamp_that_failed_and_a_lens_that_vignettes_are_told() {
     let shots = ladder(Setting::Iso, &[0.0, 0.0, -0.3, 0.01], 400.0, 1, 0.0, &mut random);
     let told = verdict(&fit_exposure(&shots).unwrap().0, true);
     assert!(!told.good && told.sentences[0].contains("more than half a step"), "{told:?}");
+    // Of two ladders the other stands.
+    let truth = [0.0, 0.01, -0.02, 0.01];
+    let both = [shots, ladder(Setting::Shutter, &truth, 400.0, 1, 0.0, &mut random)].concat();
+    let fit = fit_exposure(&both).unwrap().0;
+    let told = verdict(&fit, true);
+    assert!(told.good && told.sentences[0].contains("THIS LADDER IS NOT USED"), "{told:?}");
+    let table = ExposureTable::of(&fit, true);
+    let [iso, shutter] = [Setting::Iso, Setting::Shutter].map(|s| (settings(s, 0), settings(s, 2)));
+    assert_eq!(table.source(&iso.0, &iso.1), ScaleSource::Nominal);
+    assert_eq!(table.source(&shutter.0, &shutter.1), ScaleSource::Measured);
 
     let mut shots = ladder(Setting::Aperture, &[0.0; 4], 1000.0, 1, 0.0, &mut random);
     for (tile, row) in shots[3].tiles.tiles.iter_mut().enumerate() {

@@ -3,35 +3,28 @@
 use super::{ExposureFit, Setting};
 use crate::calibration::Verdict;
 
-/// A deviation beyond half a third of a stop is no tolerance of a camera.
-const HALF_STEP: f64 = 0.122;
 /// Shift by 1 DN of black that is worth a word, relative.
 const BLACK: f64 = 0.003;
 /// Pattern over the frame that is worth a word, relative.
 const PATTERN: f64 = 0.005;
 
-/// Whether the table can be relied on, and what is odd about it.
+/// Whether the table can be relied on (any of its ladders; others are not used), and what is odd about it.
 /// `black_known`: whether black is measured, by dark frames or masked pixels, and not taken from a tag or a table.
 pub fn verdict(fit: &ExposureFit, black_known: bool) -> Verdict {
     let mut sentences = vec![];
-    let mut good = true;
+    let good = fit.ladders.iter().any(|ladder| ladder.not_used.is_none());
     for ladder in &fit.ladders {
         let name = ladder.setting.name();
         let worst = ladder.steps.iter().max_by(|a, b| a.deviation.abs().total_cmp(&b.deviation.abs()));
         let Some(worst) = worst else { continue };
         let label = ladder.setting.words(worst.label);
         let deviation = 100.0 * worst.deviation;
-        if worst.deviation.abs() > HALF_STEP {
-            good = false;
-            sentences.push(format!(
-                "{name}: {label} is {deviation:+.1} % off its label, more than half a step; either the light changed, or a \
-                 frame's labels are wrong: shoot the ladder again in steady light with everything on manual."
-            ));
-        } else {
-            sentences.push(format!(
+        match &ladder.not_used {
+            Some(why) => sentences.push(format!("{name}: {why}. THIS LADDER IS NOT USED.")),
+            None => sentences.push(format!(
                 "{name}: {} steps measured, the worst ({label}) is {deviation:+.2} % off the ideal.",
                 ladder.steps.len()
-            ));
+            )),
         }
         let pattern = ladder.steps.iter().map(|step| step.pattern_sd).fold(0.0, f64::max);
         if pattern > PATTERN {
@@ -52,6 +45,10 @@ pub fn verdict(fit: &ExposureFit, black_known: bool) -> Verdict {
             ));
         }
     }
+    let none = fit.not_measured.iter();
+    sentences.extend(
+        none.map(|none| format!("{}: A LADDER WAS NOT MEASURED: {}.", none.setting.name(), none.why)),
+    );
     let darkest = fit.ladders.iter().map(|ladder| ladder.step_00_dn).fold(f64::INFINITY, f64::min);
     if !black_known && 1.0 / darkest > BLACK {
         sentences.push(format!(

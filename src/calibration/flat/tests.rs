@@ -48,6 +48,7 @@ fn clean(lens: &Lens, light: f64) -> Tiles {
         grid: GRID,
         tiles: vec![[None; 3]; GRID.0 * GRID.1],
         over_exposed: 0.0,
+        cut_off: 0.0,
     };
     for tile in 0..tiles.tiles.len() {
         tiles.tiles[tile] = std::array::from_fn(|colour| {

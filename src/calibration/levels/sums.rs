@@ -1,8 +1,8 @@
-//! Frames of one ISO, reduced to what their levels need as they come: never more than two whole frames are held.
+//! Frames of one ISO, reduced to what their levels need as they come: one whole frame at most is held beside the new one.
 
 use super::dark::{Dark, Known, ReadNoise};
-use super::histogram::{Centre, Histogram};
 use super::{BlackSource, IsoLevels, SiteLevels};
+use crate::calibration::histogram::{Centre, CutOff, Histogram};
 use crate::calibration::statistics::Z95;
 use crate::codec::raw::Masked;
 use crate::photometry::saturation::{self, NotBlown, Spike};
@@ -15,6 +15,8 @@ pub(super) const POSITIONS: [(usize, usize); 4] = [(0, 0), (0, 1), (1, 0), (1, 1
 pub(super) const VALUES: usize = 1 << 16;
 /// Share of the range from black to saturation below which a frame's median must lie to be dark.
 const DARK: f64 = 0.05;
+/// Steps between values from which they are told, DN.
+const STEP: f64 = 1.02;
 
 /// Why a frame does not tell levels.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -98,6 +100,18 @@ impl IsoSums {
         self.iso
     }
 
+    /// Whether any frame was fit to be added.
+    pub fn is_measured(&self) -> bool {
+        self.dark.is_some() || self.blown > 0
+    }
+
+    /// Lets go of what is held for frames to come, should none be expected. They may come still.
+    pub fn let_go(&mut self) {
+        if let Some(dark) = &mut self.dark {
+            dark.let_go();
+        }
+    }
+
     /// Adds the masked border of a frame, dark or blown.
     pub fn add_masked(&mut self, masked: &Masked) {
         for (sums, (row, column)) in self.masked.iter_mut().zip(POSITIONS) {
@@ -171,6 +185,7 @@ impl IsoSums {
     /// The levels that come of it.
     pub fn levels(&self) -> IsoLevels {
         let dark: Option<[Option<Centre>; 4]> = self.dark.as_ref().map(Dark::centres);
+        let cuts: [Option<CutOff>; 4] = self.dark.as_ref().map(Dark::cut_offs).unwrap_or_default();
         let masked = self.masked.map(|sums| sums.black());
         let black_source = match (&dark, masked[0]) {
             (Some(_), _) => Some(BlackSource::DarkFrames),
@@ -179,12 +194,13 @@ impl IsoSums {
         };
         let site = |position: usize| {
             let (row, column) = POSITIONS[position];
-            let own = self
-                .dark
-                .as_ref()
-                .zip(dark)
-                .and_then(|(sums, centres)| Some(sums.black(position, centres[position]?)));
+            let own = self.dark.as_ref().zip(dark).and_then(|(sums, centres)| {
+                Some(sums.black(position, centres[position]?, cuts[position].is_some()))
+            });
             let black = own.or(masked[position]);
+            // Black is there or below, and nothing tells where.
+            let bounded = black.filter(|_| !cuts[position].is_some_and(CutOff::hides_black));
+            let step = self.dark.as_ref().map_or(1.0, |sums| sums.steps(position).low);
             let (noise, below) = match self.dark.as_ref().and_then(|sums| sums.read_noise(position)) {
                 Some(ReadNoise::Told(noise)) => (Some(noise), None),
                 Some(ReadNoise::Below(bound)) => (None, Some(bound)),
@@ -197,8 +213,11 @@ impl IsoSums {
                 column,
                 colour: colour(self.cfa, position).to_owned(),
                 black_dn: black.map(|b| b.value),
-                black_dn_standard_error: black.map(|b| b.error),
-                black_dn_interval_95: black.map(|b| b.interval),
+                black_dn_standard_error: bounded.map(|b| b.error),
+                black_dn_interval_95: bounded.map(|b| b.interval),
+                cut_off_dn: cuts[position].map(|cut| cut.dn),
+                cut_off_share: cuts[position].map(|cut| cut.share),
+                step_dn: (step > STEP).then_some(step),
                 masked_black_dn: masked[position].map(|m| m.value),
                 masked_black_dn_standard_error: masked[position].map(|m| m.error),
                 read_noise_dn: noise.map(|n| n.value),

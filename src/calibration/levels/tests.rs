@@ -74,6 +74,7 @@ fn black_and_read_noise_of_a_thousand_random_sensors_lie_in_their_intervals() {
         let inside = |interval: Option<[f64; 2]>, truth: f64| {
             interval.is_some_and(|[low, high]| (low..=high).contains(&truth))
         };
+        assert_eq!((site.cut_off_dn, site.step_dn), (None, None), "{site:?}");
         sites += 1.0;
         black += usize::from(inside(site.black_dn_interval_95, truth[0]));
         match site.read_noise_below_dn {
@@ -99,7 +100,7 @@ fn read_noise_that_rounding_hides_is_bounded_and_not_told() {
         let dn = Image::from_fn(80, 60, |_, _| (2048.3 + normal.sample(&mut random)).round() as u16);
         sums.add_dark(&frame(dn)).unwrap();
     }
-    let fit = LevelsFit { levels: vec![sums.levels()] };
+    let fit = LevelsFit { levels: vec![sums.levels()], not_measured: vec![] };
     let site = &fit.levels[0].sites[2];
     assert_eq!((site.read_noise_dn, site.read_noise_below_dn), (None, Some(0.4)));
     // The mean of rounded values lies at 2048.16; its interval knows.
@@ -143,6 +144,99 @@ fn saturation_of_a_thousand_random_sensors_is_exact_or_as_near_as_its_own_noise_
     assert!(unmasked <= 20, "{unmasked}");
 }
 
+/// Two dark frames of a body that takes black off and cuts off at `floor`, black being `above` that.
+fn cut(random: &mut ChaCha8Rng, floor: f64, above: f64, noise: f64) -> LevelsFit {
+    let normal = Normal::new(floor + above, noise).unwrap();
+    let mut sums = IsoSums::new(Iso(100.0), Cfa::RGGB);
+    for _ in 0..2 {
+        let mut dn = Image::from_fn(160, 120, |_, _| normal.sample(random).round().max(floor) as u16);
+        *dn.at_mut(20, 20) = floor as u16 + 600;
+        let mut frame = frame(dn);
+        frame.levels.black = [[floor as f32; 2]; 2];
+        sums.add_dark(&frame).unwrap();
+    }
+    LevelsFit { levels: vec![sums.levels()], not_measured: vec![] }
+}
+
+#[test]
+fn half_a_dark_frames_noise_is_quoted_neither_as_black_nor_as_read_noise() {
+    let mut random = ChaCha8Rng::seed_from_u64(41);
+    for (floor, noise) in [(0.0, 0.6), (0.0, 4.0), (0.0, 20.0), (600.0, 4.0)] {
+        let fit = cut(&mut random, floor, 0.0, noise);
+        for site in &fit.levels[0].sites {
+            assert_eq!((site.black_dn, site.cut_off_dn), (Some(floor), Some(floor)), "{noise}: {site:?}");
+            assert_eq!((site.black_dn_standard_error, site.black_dn_interval_95), (None, None), "{site:?}");
+            assert_eq!((site.read_noise_dn, site.read_noise_below_dn), (None, None), "{site:?}");
+        }
+        assert_eq!(fit.levels[0].hot_sites, Some(1));
+        let said = fit.verdict().sentences.concat();
+        assert!(
+            said.contains(&format!("cut off at {floor:.0} DN")) && said.contains("read noise is not told"),
+            "{said}"
+        );
+    }
+}
+
+#[test]
+fn black_above_the_cut_off_is_the_median_and_lies_in_its_interval() {
+    let mut random = ChaCha8Rng::seed_from_u64(43);
+    let (mut inside, mut sites, mut whole, mut told) = (0.0, 0.0, 0, 0);
+    for _ in 0..300 {
+        let noise = 1.5 + 8.0 * random.random::<f64>();
+        let above = noise * 4.0 * random.random::<f64>() + 0.7;
+        let site = &cut(&mut random, 0.0, above, noise).levels[0].sites[0];
+        if site.cut_off_dn.is_none() {
+            // So little is cut off that it moves nothing.
+            assert!(above > 2.3 * noise, "{above}, {noise}");
+            let [low, high] = site.read_noise_dn_interval_95.unwrap();
+            (whole, told) = (whole + 1, told + usize::from((low..=high).contains(&noise)));
+            continue;
+        }
+        assert_eq!((site.read_noise_dn, site.read_noise_below_dn), (None, None), "{site:?}");
+        assert!(above < 2.9 * noise, "{above}, {noise}");
+        let Some([low, high]) = site.black_dn_interval_95 else {
+            assert!(above < 1.0, "{above}: {site:?}");
+            continue;
+        };
+        sites += 1.0;
+        inside += f64::from(u8::from((low..=high).contains(&above)));
+    }
+    println!(
+        "black inside {} of {sites}; read noise inside {told} of {whole} that are not cut off",
+        inside / sites
+    );
+    assert!(sites > 100.0 && whole > 50, "{sites}, {whole}");
+    assert!((0.90..=0.995).contains(&(inside / sites)), "{}", inside / sites);
+    assert!(told as f64 > 0.88 * f64::from(whole), "{told} of {whole}");
+}
+
+#[test]
+fn read_noise_of_raws_with_steps_is_free_of_the_steps_rounding() {
+    let mut random = ChaCha8Rng::seed_from_u64(47);
+    let mut with = |noise: f64| {
+        let normal = Normal::new(2049.0, noise).unwrap();
+        let mut sums = IsoSums::new(Iso(100.0), Cfa::RGGB);
+        for _ in 0..4 {
+            let dn = Image::from_fn(160, 120, |_, _| 4 * (normal.sample(&mut random) / 4.0).round() as u16);
+            sums.add_dark(&frame(dn)).unwrap();
+        }
+        LevelsFit { levels: vec![sums.levels()], not_measured: vec![] }
+    };
+    let fit = with(3.0);
+    for site in &fit.levels[0].sites {
+        assert_eq!(site.step_dn, Some(4.0));
+        let [low, high] = site.read_noise_dn_interval_95.unwrap();
+        // Rounding to 4 DN alone is 1.15 DN, and would make 3.21 of it.
+        assert!(low < 3.0 && 3.0 < high && high < 3.15, "{site:?}");
+        let [low, high] = site.black_dn_interval_95.unwrap();
+        assert!((low..=high).contains(&2049.0), "{site:?}");
+    }
+    assert!(fit.verdict().sentences.concat().contains("every 4.00 DN only"), "{:?}", fit.verdict());
+    let hidden = &with(1.2).levels[0].sites[0];
+    assert_eq!(hidden.read_noise_dn, None);
+    assert!((1.6..2.0).contains(&hidden.read_noise_below_dn.unwrap()), "{hidden:?}");
+}
+
 #[test]
 fn a_lit_frame_and_one_of_another_size_are_refused_in_words() {
     let mut random = ChaCha8Rng::seed_from_u64(1);
@@ -153,8 +247,18 @@ fn a_lit_frame_and_one_of_another_size_are_refused_in_words() {
     sums.add_dark(&dark(&mut random, 2.0, 0)).unwrap();
     let small = frame(Image::filled(80, 60, 2048));
     assert!(matches!(sums.add_dark(&small), Err(UnfitFrame::Size { .. })));
-    assert!(matches!(sums.add_blown(&lit), Err(UnfitFrame::NotBlown(_)) | Ok(())));
-    assert_eq!(sums.levels().sites[0].read_noise_dn, None, "one frame tells no read noise");
+    let why = sums.add_blown(&dark(&mut random, 2.0, 1)).unwrap_err();
+    assert!(matches!(why, UnfitFrame::NotBlown(_)), "{why}");
+    let levels = sums.levels();
+    assert_eq!((levels.dark_frames, levels.blown_frames), (1, 0));
+    for site in &levels.sites {
+        assert_eq!(
+            (site.read_noise_dn, site.read_noise_below_dn),
+            (None, None),
+            "one frame tells no read noise"
+        );
+        assert!(site.black_dn.is_some() && site.saturation_dn.is_none(), "{site:?}");
+    }
 }
 
 #[test]
@@ -167,7 +271,7 @@ fn green_alone_is_measured_where_green_alone_is_blown() {
     });
     let mut sums = IsoSums::new(Iso(400.0), Cfa::RGGB);
     sums.add_blown(&frame(dn)).unwrap();
-    let fit = LevelsFit { levels: vec![sums.levels()] };
+    let fit = LevelsFit { levels: vec![sums.levels()], not_measured: vec![] };
     let told: Vec<Option<f64>> = fit.levels[0].sites.iter().map(|s| s.saturation_dn).collect();
     assert_eq!(told, [None, Some(14_733.0), Some(14_733.0), None]);
     let why = fit.levels[0].sites[0].not_reached.as_deref().unwrap();
@@ -191,7 +295,7 @@ fn a_border_that_parts_from_the_dark_frames_is_told() {
     assert_eq!(sums.levels().black_source, Some(BlackSource::MaskedPixels));
     assert_eq!(sums.levels().sites[0].black_dn, Some(2044.0));
     sums.add_dark(&dark(&mut random, 2.0, 0)).unwrap();
-    let fit = LevelsFit { levels: vec![sums.levels()] };
+    let fit = LevelsFit { levels: vec![sums.levels()], not_measured: vec![] };
     assert_eq!(fit.levels[0].black_source, Some(BlackSource::DarkFrames));
     let verdict = fit.verdict();
     assert!(verdict.sentences.iter().any(|s| s.contains("masked border reads up to -5.")), "{verdict:?}");

@@ -9,6 +9,9 @@ use crate::calibration::statistics::Z95;
 /// Share of the range from which tiles tell the fixed pattern.
 const PATTERN_FROM: f64 = 0.1;
 
+/// Standard errors from which a difference is more than chance.
+pub(super) const APART: f64 = 4.0;
+
 /// Read noise of one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum ReadNoise {
@@ -25,17 +28,18 @@ pub(super) fn electrons_per_dn(line: &Line) -> (f64, [f64; 2]) {
     (1.0 / line.gain, [1.0 / (line.gain + reach), 1.0 / (line.gain - reach).max(1e-3 * line.gain)])
 }
 
-/// Read noise in electrons. A floor below 0.24 DN^2 is mostly rounding, and no more than an upper bound is told (EMVA
-/// 1288): 0.4 DN, or what the floor's own interval reaches, if that is more.
-pub(super) fn read_noise(line: &Line) -> ReadNoise {
-    let square = line.floor - rounding::VARIANCE;
+/// Read noise in electrons; values stand every `step` DN. A floor below 0.24 steps^2 is mostly rounding, and no more than an
+/// upper bound is told (EMVA 1288): 0.4 steps, or what the floor's own interval reaches, if that is more.
+pub(super) fn read_noise(line: &Line, step: f64) -> ReadNoise {
+    let square = line.floor - rounding::VARIANCE * step * step;
     let floor_error = line.of_floor.sqrt();
     let electrons = |square: f64| square.max(0.0).sqrt() / line.gain;
-    if line.floor < rounding::LEAST_FLOOR {
-        return ReadNoise::Below(electrons((square + Z95 * floor_error).max(rounding::HIDDEN.powi(2))));
+    if line.floor < rounding::LEAST_FLOOR * step * step {
+        let hidden = (rounding::HIDDEN * step).powi(2);
+        return ReadNoise::Below(electrons((square + Z95 * floor_error).max(hidden)));
     }
     let noise = electrons(square);
-    let departure = rounding::departure(square.sqrt());
+    let departure = rounding::departure(square.sqrt() / step) * step * step;
     if square < 3.0 * floor_error {
         let reach = Z95 * floor_error + departure;
         return ReadNoise::Told(noise, [electrons(square - reach), electrons(square + reach)]);
@@ -93,14 +97,21 @@ pub(super) fn residuals(pair: &PairTiles, line: &Line) -> Vec<PairResidual> {
     (0..3).filter_map(of_colour).collect()
 }
 
-pub(super) fn colours_apart(lines: &[Option<Line>; 3]) -> f64 {
-    let mut apart: f64 = 0.0;
+/// The largest difference of gains between two colours in standard errors; and that which is largest relative to their mean,
+/// of those beyond chance.
+pub(super) fn colours_apart(lines: &[Option<Line>; 3]) -> (f64, Option<f64>) {
+    let (mut in_errors, mut relative) = (0.0f64, None::<f64>);
     for (a, b) in [(0, 1), (1, 2), (0, 2)] {
         if let (Some(a), Some(b)) = (&lines[a], &lines[b]) {
-            apart = apart.max((a.gain - b.gain).abs() / (a.of_gain + b.of_gain).sqrt());
+            let difference = (a.gain - b.gain).abs();
+            let errors = difference / (a.of_gain + b.of_gain).sqrt();
+            in_errors = in_errors.max(errors);
+            if errors > APART {
+                relative = Some(relative.unwrap_or(0.0).max(2.0 * difference / (a.gain + b.gain)));
+            }
         }
     }
-    apart
+    (in_errors, relative)
 }
 
 /// How far dark frames lie from where the lit ones' line meets no signal.
@@ -118,4 +129,30 @@ pub(super) fn dark_apart(lit: &[Point], dark: &[PairTiles]) -> Option<f64> {
     let (variance, signal) = (sum / weight, signal / weight);
     let own = 2.0 * variance.powi(2) / weight;
     Some((variance - line.gain * signal - line.floor).abs() / (own + line.of_floor).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_part_by_more_than_chance_or_not_at_all() {
+        let line = |gain: f64, error: f64| {
+            Some(Line {
+                gain,
+                floor: 2.0,
+                of_gain: error * error,
+                of_floor: 0.01,
+                covariance: 0.0,
+                chi_squared: 1.0,
+                rejected: 0.0,
+            })
+        };
+        // Red is surely 3 % higher; blue is further off, but nobody knows.
+        let (errors, apart) = colours_apart(&[line(1.03, 1e-3), line(1.0, 1e-3), line(1.2, 0.1)]);
+        assert!((errors - 0.03 / 2e-6f64.sqrt()).abs() < 1e-9, "{errors}");
+        assert!((apart.unwrap() - 0.03 / 1.015).abs() < 1e-12, "{apart:?}");
+        let (errors, apart) = colours_apart(&[line(1.03, 0.01), line(1.0, 0.01), None]);
+        assert!(errors > 2.0 && apart.is_none(), "{errors}, {apart:?}");
+    }
 }

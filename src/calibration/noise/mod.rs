@@ -8,10 +8,12 @@
 //! ```
 //!
 //! S being the signal above black in DN, g S shot noise (Poisson), r read noise, and 1/12 DN^2 what rounding to whole DN
-//! adds; it is taken off for read noise, and stays in the variance of a value. The straight line is fitted over the signals
+//! adds; it is taken off for read noise, and stays in the variance of a value; where the raws have steps of s DN
+//! it is s^2/12 ([`SensorValues::steps`]). The straight line is fitted over the signals
 //! up to 70 % of the range, as EMVA has it, by iterated weighted least squares, pairs of dark frames being points at no
 //! signal. Tiles whose mean lies within six standard deviations of clipping or of 0 DN do not count, by the line's own
-//! variance: those in which nothing clips would be the quiet ones among them. Intervals of 95 % come from the fit's covariance: that of 1 / g is the inverse of g's, that of r / g takes the
+//! variance: those in which nothing clips would be the quiet ones among them. Dark frames of raws that are cut off at black have half of
+//! their noise, and do not count ([`SensorValues::cut_off`]); read noise is then the lit frames' intercept. Intervals of 95 % come from the fit's covariance: that of 1 / g is the inverse of g's, that of r / g takes the
 //! covariance of both along. Full well is the range from black to saturation in electrons. Fixed pattern is what the two
 //! frames share beyond a plane in each tile, relative to the signal: the sensor's own (PRNU) with the surface's texture,
 //! so that PRNU is that at most. [`Linearity`] says how straight the response is.
@@ -22,13 +24,15 @@ mod light;
 mod linearity;
 mod tiles;
 mod transfer;
+mod values;
 mod words;
 
 pub use groups::{FrameMean, levels};
 pub use linearity::{LightSource, Linearity, LinearityStep, NoLinearity};
 pub use tiles::{OtherSize, PairTiles, Signal, Tile, compare};
+pub use values::{DarkCut, SensorValues};
 
-use super::rounding;
+use super::{NotMeasured, Steps, rounding};
 use crate::photometry::{LevelSource, NoiseModel};
 use crate::units::Iso;
 use figures::ReadNoise;
@@ -49,6 +53,9 @@ const SAME_ISO: f64 = 0.01;
 pub struct NoiseFit {
     /// One entry an ISO, ascending.
     pub noise: Vec<IsoNoise>,
+    /// ISOs whose frames told nothing.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub not_measured: Vec<NotMeasured>,
 }
 
 /// Noise and linearity at one ISO.
@@ -96,6 +103,18 @@ pub struct IsoNoise {
     pub rejected_share: f64,
     /// Stability of gain between colours: largest difference in standard errors.
     pub colours_apart_in_errors: f64,
+    /// The difference of gains that is largest, relative, 1 = 100 %; absent if it may be chance.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub colours_apart: Option<f64>,
+    /// Value at which dark frames are cut off, DN: they do not count; absent if their noise is whole.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cut_off_dn: Option<f64>,
+    /// Distance between values that occur, DN, where signals are low; absent if it is 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub step_dn: Option<f64>,
+    /// The same where signals are high, if it grows with the signal.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub companded_step_dn: Option<f64>,
     /// How far dark frames lie from the line of the lit ones at no signal, in standard errors; absent without either.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dark_apart_in_errors: Option<f64>,
@@ -166,8 +185,12 @@ pub struct IsoInput {
     pub dark: Vec<PairTiles>,
     /// Saturation less black of each colour, DN.
     pub range: [f64; 3],
-    /// Black of each colour, DN.
+    /// Black of each colour, DN above the lowest value that there is.
     pub black: [f64; 3],
+    /// Value at which dark frames are cut off, if they are.
+    pub cut_off_dn: Option<f64>,
+    /// Distances between values that occur.
+    pub steps: Steps,
     /// Where saturation is from.
     pub saturation_source: LevelSource,
     /// Standard error of black, DN.
@@ -177,11 +200,11 @@ pub struct IsoInput {
 }
 
 /// Too little to fit.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{0}: the frames do not tell gain and read noise; give two frames each of at least two light levels of an evenly lit surface, neither dark nor clipped"
+    "the frames do not tell gain and read noise; give two frames each of at least two light levels of an evenly lit surface, neither dark nor clipped"
 )]
-pub struct NoTransfer(pub Iso);
+pub struct NoTransfer;
 
 /// Noise at an ISO, and where it is from.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -196,10 +219,11 @@ pub struct NoiseAt {
 
 impl NoiseFit {
     /// Noise at an ISO: as measured there, else scaled from the nearest ISO by [`NoiseModel::at_iso`]; `None` if nothing
-    /// was measured.
+    /// was measured that can be relied on.
     pub fn at(&self, iso: Iso) -> Option<NoiseAt> {
         let stops = |noise: &&IsoNoise| (noise.iso.0 / iso.0).log2().abs();
-        let nearest = self.noise.iter().min_by(|a, b| stops(a).total_cmp(&stops(b)))?;
+        let nearest =
+            self.noise.iter().filter(|noise| noise.is_good()).min_by(|a, b| stops(a).total_cmp(&stops(b)))?;
         let scaled = (nearest.iso.0 / iso.0 - 1.0).abs() >= SAME_ISO;
         let model = if scaled { nearest.model.at_iso(nearest.iso, iso) } else { nearest.model };
         Some(NoiseAt { model, measured_at: nearest.iso, scaled })
@@ -218,17 +242,18 @@ pub fn fit(input: &IsoInput) -> Result<IsoNoise, NoTransfer> {
             .collect()
     };
     let lit_pairs: Vec<&PairTiles> = lit().collect();
-    let all: Vec<&PairTiles> = lit().chain(&input.dark).collect();
-    let untold = || NoTransfer(input.iso);
-    let first = transfer::fit(&points(&all, &|_| true)).ok_or_else(untold)?;
+    // Noise that is cut off is none to go by.
+    let dark = if input.cut_off_dn.is_some() { &[][..] } else { &input.dark };
+    let all: Vec<&PairTiles> = lit().chain(dark).collect();
+    let first = transfer::fit(&points(&all, &|_| true)).ok_or(NoTransfer)?;
     let clear = |tile: &Tile| {
         let reach = CLEAR * first.at(tile.signal).sqrt();
         tile.signal + reach <= input.range[tile.colour] && tile.signal + input.black[tile.colour] >= reach
     };
-    let line = transfer::fit(&points(&all, &clear)).ok_or_else(untold)?;
+    let line = transfer::fit(&points(&all, &clear)).ok_or(NoTransfer)?;
     let of_colours = [0, 1, 2].map(|c| transfer::fit(&points(&all, &|tile| tile.colour == c && clear(tile))));
     let electrons = figures::electrons_per_dn(&line);
-    let (read, below) = match figures::read_noise(&line) {
+    let (read, below) = match figures::read_noise(&line, input.steps.low) {
         ReadNoise::Told(value, interval) => (Some((value, interval)), None),
         ReadNoise::Below(bound) => (None, Some(bound)),
     };
@@ -248,11 +273,13 @@ pub fn fit(input: &IsoInput) -> Result<IsoNoise, NoTransfer> {
         }
     });
     let linearity = light::linearity(input);
+    let (colours_apart_in_errors, colours_apart) = figures::colours_apart(&of_colours);
+    let least = rounding::VARIANCE * input.steps.low.powi(2);
     Ok(IsoNoise {
         iso: input.iso,
         pairs: lit_pairs.len(),
-        dark_pairs: input.dark.len(),
-        model: NoiseModel { gain: line.gain as f32, floor: line.floor.max(rounding::VARIANCE) as f32 },
+        dark_pairs: dark.len(),
+        model: NoiseModel { gain: line.gain as f32, floor: line.floor.max(least) as f32 },
         electrons_per_dn: electrons.0,
         electrons_per_dn_interval_95: electrons.1,
         read_noise_e: read.map(|r| r.0),
@@ -266,8 +293,12 @@ pub fn fit(input: &IsoInput) -> Result<IsoNoise, NoTransfer> {
         residuals: all.iter().flat_map(|pair| figures::residuals(pair, &line)).collect(),
         chi_squared: line.chi_squared,
         rejected_share: line.rejected,
-        colours_apart_in_errors: figures::colours_apart(&of_colours),
-        dark_apart_in_errors: figures::dark_apart(&points(&lit_pairs, &clear), &input.dark),
+        colours_apart_in_errors,
+        colours_apart,
+        cut_off_dn: input.cut_off_dn,
+        step_dn: (input.steps.low > 1.0).then_some(input.steps.low),
+        companded_step_dn: input.steps.companded().then_some(input.steps.high),
+        dark_apart_in_errors: figures::dark_apart(&points(&lit_pairs, &clear), dark),
         linearity_not_measured: linearity.as_ref().err().map(ToString::to_string),
         linearity: linearity.ok(),
     })

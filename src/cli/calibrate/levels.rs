@@ -38,6 +38,7 @@ pub(super) fn run(args: &LevelsArgs) -> CliResult {
     );
     let within = |value: Option<f64>, interval: Option<[f64; 2]>| match (value, interval) {
         (Some(value), Some([low, high])) => format!("{value:.3} \u{b1}{:.3}", (high - low) / 2.0),
+        (Some(value), None) => format!("{value:.3}"),
         _ => "-".to_owned(),
     };
     let whole = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.0}"));

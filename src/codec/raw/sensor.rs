@@ -11,6 +11,10 @@ use serde::{Deserialize, Serialize};
 /// read noise the mean is then good to 0.3 DN.
 const MIN_MASKED_SITES: usize = 256;
 
+/// Share of a border's sites at 0 DN from which their mean is no black: noise below it was cut off, so that the mean lies
+/// too high.
+const MOST_CUT_OFF: f64 = 0.005;
+
 /// A rectangle of sensor sites: rows `top..bottom`, columns `left..right`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Rect {
@@ -118,10 +122,10 @@ fn crop(plane: Plane, area: Rect) -> Vec<u16> {
 }
 
 /// Mean and spread of the masked sites outside the active area, per position of the 2x2 array counted from
-/// the active area's first site.
+/// the active area's first site; `None` if there are too few, or if they are cut off at 0 DN.
 fn measure_masked(plane: &Plane, description: &Description) -> Option<Masked> {
     let (mut sums, mut squares) = ([[0u64; 2]; 2], [[0u64; 2]; 2]);
-    let mut sites = [[0usize; 2]; 2];
+    let (mut sites, mut nought) = ([[0usize; 2]; 2], [[0usize; 2]; 2]);
     let active = description.active;
     for (i, area) in description.masked.iter().enumerate() {
         for y in area.top..area.bottom {
@@ -135,8 +139,13 @@ fn measure_masked(plane: &Plane, description: &Description) -> Option<Masked> {
                 sums[row][column] += dn;
                 squares[row][column] += dn * dn;
                 sites[row][column] += 1;
+                nought[row][column] += usize::from(dn == 0);
             }
         }
+    }
+    let cut_off = |(n, of): (usize, usize)| n as f64 > MOST_CUT_OFF * of as f64;
+    if nought.concat().into_iter().zip(sites.concat()).any(cut_off) {
+        return None;
     }
     if sites.concat().into_iter().any(|n| n < MIN_MASKED_SITES) {
         return None;

@@ -1,13 +1,15 @@
 //! Sensor levels of a session: dark and blown frames in, `calibration/levels.json` out.
 
-use super::{Series, SeriesError};
+use super::{Series, SeriesError, io};
 use crate::calibration::levels::{IsoLevels, IsoSums, LevelsFit, SiteLevels, UnfitFrame};
-use crate::calibration::{Record, Verdict};
+use crate::calibration::{NotMeasured, Record, Verdict};
+use crate::codec::exif;
 use crate::codec::raw::Photo;
 use crate::export::chart::{self, Chart};
 use crate::pipeline::levels::KIND;
 use crate::progress::Progress;
 use crate::session::Session;
+use crate::units::Iso;
 use std::path::{Path, PathBuf};
 
 /// Why levels could not be measured.
@@ -39,7 +41,8 @@ pub enum LevelsError {
 }
 
 /// Measures the levels of every ISO that occurs and keeps them in the session, in place of what was measured before.
-/// A frame that is not dark is an error, one in which no colour clips is left out, and an error if nothing else is there.
+/// A frame that is not dark, or in which no colour clips, is left out; an ISO of which nothing is left is named with the
+/// reason, and it is an error if none is.
 pub fn calibrate(
     session: &Session,
     dark: &[PathBuf],
@@ -51,57 +54,107 @@ pub fn calibrate(
         return Err(LevelsError::NoFrames);
     }
     let mut series = Series::new(session, KIND)?;
-    let mut isos: Vec<IsoSums> = vec![];
-    let mut last_unfit = None;
-    let all = dark.iter().map(|path| (path, true)).chain(blown.iter().map(|path| (path, false)));
-    for (done, (path, is_dark)) in all.enumerate() {
+    let mut isos: Vec<IsoFrames> = vec![];
+    for (done, (iso, path, is_dark)) in in_order(dark, blown)?.into_iter().enumerate() {
         progress.check().map_err(SeriesError::from)?;
         progress.report("measuring levels", done, total);
+        if let Some(iso) = iso {
+            isos.iter_mut().filter(|own| own.sums.iso() != iso).for_each(|own| own.sums.let_go());
+        }
         let photo = series.read(path)?;
-        let sums = of_iso(&mut isos, &photo, path)?;
-        let unfit = |source| LevelsError::Unfit { path: path.clone(), source };
-        if is_dark {
-            sums.add_dark(&photo.mosaic).map_err(unfit)?;
-        } else if let Err(source) = sums.add_blown(&photo.mosaic) {
+        let own = of_iso(&mut isos, &photo, path)?;
+        own.dark_given += usize::from(is_dark);
+        let added =
+            if is_dark { own.sums.add_dark(&photo.mosaic) } else { own.sums.add_blown(&photo.mosaic) };
+        if let Err(source) = added {
             series.leave_out(done, source.to_string());
-            last_unfit = Some(unfit(source));
+            let unfit = if is_dark { &mut own.unfit_dark } else { &mut own.unfit_blown };
+            *unfit = Some((path.clone(), source));
         }
         if let Some(masked) = &photo.masked {
-            sums.add_masked(masked);
+            own.sums.add_masked(masked);
         }
     }
     progress.report("measuring levels", total, total);
-    isos.sort_by(|a, b| a.iso().0.total_cmp(&b.iso().0));
-    let fit = LevelsFit { levels: isos.iter().map(IsoSums::levels).collect() };
-    if let Some(unfit) = last_unfit
-        && dark.is_empty()
-        && fit.levels.iter().all(|levels| levels.blown_frames == 0)
+    isos.sort_by(|a, b| a.sums.iso().0.total_cmp(&b.sums.iso().0));
+    if isos.iter().all(|own| !own.sums.is_measured())
+        && let Some((path, source)) =
+            isos.iter().find_map(|own| own.unfit_dark.clone().or(own.unfit_blown.clone()))
     {
-        return Err(unfit);
+        return Err(LevelsError::Unfit { path, source });
     }
+    let (isos, none): (Vec<_>, Vec<_>) = isos.into_iter().partition(|own| own.sums.is_measured());
+    let levels: Vec<IsoLevels> = isos.iter().map(|own| own.sums.levels()).collect();
+    let without_black =
+        isos.iter().zip(&levels).filter(|(_, levels)| levels.dark_frames == 0).map(|two| two.0);
+    let not_measured = none.iter().chain(without_black).filter_map(IsoFrames::not_measured).collect();
+    let fit = LevelsFit { levels, not_measured };
     let verdict = fit.verdict();
     let figure = figure(&isos, &fit, &verdict);
     Ok(series.keep(fit, verdict, &figure, progress)?)
 }
 
+/// What the frames of an ISO amount to, and why the last of those that are not fit is not.
+struct IsoFrames {
+    sums: IsoSums,
+    dark_given: usize,
+    unfit_dark: Option<(PathBuf, UnfitFrame)>,
+    unfit_blown: Option<(PathBuf, UnfitFrame)>,
+}
+
+impl IsoFrames {
+    /// What its frames were to tell and did not.
+    fn not_measured(&self) -> Option<NotMeasured> {
+        let why = match (&self.unfit_dark, &self.unfit_blown) {
+            (Some((path, why)), _) => {
+                format!(
+                    "no black, for none of its {} dark frames is fit ({}: {why})",
+                    self.dark_given,
+                    path.display()
+                )
+            }
+            (None, Some((path, why))) if !self.sums.is_measured() => format!("{}: {why}", path.display()),
+            _ => return None,
+        };
+        Some(NotMeasured { iso: self.sums.iso(), why })
+    }
+}
+
+/// The frames by ISO as far as files tell it without being decoded, so that those of one ISO alone are held at a time; the
+/// dark ones of each first.
+fn in_order<'a>(
+    dark: &'a [PathBuf],
+    blown: &'a [PathBuf],
+) -> Result<Vec<(Option<Iso>, &'a PathBuf, bool)>, SeriesError> {
+    let all = dark.iter().map(|path| (path, true)).chain(blown.iter().map(|path| (path, false)));
+    let told = |(path, is_dark): (&'a PathBuf, bool)| {
+        Ok((exif::settings(&std::fs::read(path).map_err(io(path))?).iso, path, is_dark))
+    };
+    let mut all = all.map(told).collect::<Result<Vec<_>, SeriesError>>()?;
+    let key = |iso: Option<Iso>| iso.map_or(f64::INFINITY, |iso| iso.0);
+    all.sort_by(|a, b| key(a.0).total_cmp(&key(b.0)));
+    Ok(all)
+}
+
 /// The sums of a frame's ISO.
 fn of_iso<'a>(
-    isos: &'a mut Vec<IsoSums>,
+    isos: &'a mut Vec<IsoFrames>,
     photo: &Photo,
     path: &Path,
-) -> Result<&'a mut IsoSums, LevelsError> {
+) -> Result<&'a mut IsoFrames, LevelsError> {
     let untold = |setting| LevelsError::Untold { path: path.to_owned(), setting };
     photo.settings.model.as_ref().ok_or_else(|| untold("camera model"))?;
     let iso = photo.settings.iso.ok_or_else(|| untold("ISO"))?;
-    let at = isos.iter().position(|sums| sums.iso() == iso).unwrap_or_else(|| {
-        isos.push(IsoSums::new(iso, photo.mosaic.cfa));
+    let at = isos.iter().position(|own| own.sums.iso() == iso).unwrap_or_else(|| {
+        let sums = IsoSums::new(iso, photo.mosaic.cfa);
+        isos.push(IsoFrames { sums, dark_given: 0, unfit_dark: None, unfit_blown: None });
         isos.len() - 1
     });
     Ok(&mut isos[at])
 }
 
 /// Histograms of the dark frames of the first ISO that has any; else saturation over ISO.
-fn figure(isos: &[IsoSums], fit: &LevelsFit, verdict: &Verdict) -> Chart {
+fn figure(isos: &[IsoFrames], fit: &LevelsFit, verdict: &Verdict) -> Chart {
     let caption = verdict.sentences.join(" ");
     // One position a colour: the second green hides the first.
     let shown = |sites: &[SiteLevels]| {
@@ -114,8 +167,8 @@ fn figure(isos: &[IsoSums], fit: &LevelsFit, verdict: &Verdict) -> Chart {
         shown
     };
     let dark = isos.iter().zip(&fit.levels).find(|(_, levels)| levels.dark_frames > 0);
-    if let Some((sums, levels)) = dark {
-        let histograms = sums.dark_histograms();
+    if let Some((own, levels)) = dark {
+        let histograms = own.sums.dark_histograms();
         let series = shown(&levels.sites).into_iter().map(|at| chart::Series {
             name: levels.sites[at].colour.clone(),
             points: histograms[at].iter().map(|&(dn, share)| (dn, share, 0.0)).collect(),

@@ -243,6 +243,11 @@ impl<'a> Series<'a> {
         self.shots[shot].left_out = Some(why);
     }
 
+    /// The same of a shot of which nothing worse is known.
+    pub(super) fn leave_out_too(&mut self, shot: usize, why: &str) {
+        self.shots[shot].left_out.get_or_insert_with(|| why.to_owned());
+    }
+
     /// Copies the shots into the session, keeps the fit and its figure, and writes the report; on the disk when this
     /// returns.
     pub(super) fn keep<T: Serialize>(

@@ -4,10 +4,11 @@
 
 use super::{RecordError, Series, SeriesError};
 use crate::calibration::noise::{
-    FrameMean, IsoInput, LightLevel, NoTransfer, NoiseFit, OtherSize, PairTiles, compare, fit, levels,
+    FrameMean, IsoInput, LightLevel, NoTransfer, NoiseFit, OtherSize, PairTiles, SensorValues, compare, fit,
+    levels,
 };
 use crate::calibration::statistics::Z95;
-use crate::calibration::{Record, Verdict};
+use crate::calibration::{NotMeasured, Record, Verdict};
 use crate::export::chart::{self, Chart};
 use crate::pair::Settings;
 use crate::photometry::apex::{ExposureScale, Nominal};
@@ -51,8 +52,13 @@ pub enum NoiseError {
         source: OtherSize,
     },
     /// Too little to fit.
-    #[error(transparent)]
-    Fit(#[from] NoTransfer),
+    #[error("{iso}: {source}")]
+    Fit {
+        /// The frames' sensitivity.
+        iso: Iso,
+        /// What is missing.
+        source: NoTransfer,
+    },
 }
 
 /// A frame as it was read first.
@@ -69,7 +75,8 @@ struct Frame<'a> {
     cfa: crate::photometry::Cfa,
 }
 
-/// Measures noise and linearity of every ISO that occurs, and keeps them in the session.
+/// Measures noise and linearity of every ISO that occurs, and keeps them in the session. An ISO whose frames do not tell
+/// them is named with the reason; it is an error if none does.
 pub fn calibrate(
     session: &Session,
     given: NoiseFrames<'_>,
@@ -79,29 +86,49 @@ pub fn calibrate(
     let total = given.lit.len() + given.dark.len();
     let all = given.lit.iter().map(|path| (path, false)).chain(given.dark.iter().map(|path| (path, true)));
     let mut frames = vec![];
+    let mut values: Vec<(Iso, SensorValues)> = vec![];
     for (shot, (path, dark)) in all.enumerate() {
         progress.check().map_err(SeriesError::from)?;
         progress.report("reading the frames", shot, total);
         let photo = series.read(path)?;
         let iso = photo.settings.iso.ok_or_else(|| NoiseError::Untold(path.clone()))?;
+        let at = values.iter().position(|own| own.0 == iso).unwrap_or_else(|| {
+            values.push((iso, SensorValues::default()));
+            values.len() - 1
+        });
+        values[at].1.add(&photo.mosaic, dark);
         frames.push(frame(path, shot, (iso, dark), &photo.mosaic, &photo.settings));
     }
-    let mut isos: Vec<Iso> = vec![];
-    for frame in frames.iter().filter(|frame| !frame.dark) {
-        if !isos.contains(&frame.iso) {
-            isos.push(frame.iso);
-        }
-    }
-    isos.sort_by(|a, b| a.0.total_cmp(&b.0));
-    for frame in frames.iter().filter(|frame| frame.dark && !isos.contains(&frame.iso)) {
+    let lit = |iso: Iso| frames.iter().any(|frame| !frame.dark && frame.iso == iso);
+    values.retain(|(iso, _)| lit(*iso));
+    values.sort_by(|a, b| a.0.0.total_cmp(&b.0.0));
+    for frame in frames.iter().filter(|frame| !lit(frame.iso)) {
         series.leave_out(frame.shot, format!("there are no lit frames at {}", frame.iso));
     }
-    let mut noise = vec![];
-    for iso in isos {
+    let (mut noise, mut not_measured, mut first) = (vec![], vec![], None);
+    for (iso, values) in values {
         let own: Vec<&Frame> = frames.iter().filter(|frame| frame.iso == iso).collect();
-        noise.push(fit(&input(&mut series, iso, &own, given.stops, progress)?)?);
+        let input = input(&mut series, (iso, &values), &own, given.stops, progress);
+        let found = input.and_then(|input| fit(&input).map_err(|source| NoiseError::Fit { iso, source }));
+        let (why, error) = match found {
+            Ok(found) => {
+                noise.push(found);
+                continue;
+            }
+            Err(error @ NoiseError::Fit { source, .. }) => (source.to_string(), error),
+            Err(error @ NoiseError::Size { .. }) => (error.to_string(), error),
+            Err(error) => return Err(error),
+        };
+        for frame in own {
+            series.leave_out_too(frame.shot, &why);
+        }
+        not_measured.push(NotMeasured { iso, why });
+        first.get_or_insert(error);
     }
-    let result = NoiseFit { noise };
+    if let Some(error) = first.filter(|_| noise.is_empty()) {
+        return Err(error);
+    }
+    let result = NoiseFit { noise, not_measured };
     let verdict = result.verdict();
     let figure = figure(&result, &verdict);
     Ok(series.keep(result, verdict, &figure, progress)?)
@@ -139,11 +166,11 @@ pub fn of(session: &Session, settings: &Settings) -> Result<SessionNoise, Record
         return without("a frame does not tell its ISO");
     };
     let Some(found) = record.fit.at(iso) else {
-        return without("it holds no ISO; calibrate noise again");
+        return without("it holds no ISO that can be relied on; calibrate noise again");
     };
     let remark = found.scaled.then(|| {
         format!(
-            "Noise was not measured at {iso}: variances are scaled from {}, an upper bound; calibrate noise at {iso} for the true ones.",
+            "Noise was not measured at {iso}, or not well: variances are scaled from {}, an upper bound; calibrate noise at {iso} for the true ones.",
             found.measured_at
         )
     });
@@ -179,13 +206,14 @@ fn frame<'a>(
 /// Compares the frames of one ISO two by two.
 fn input(
     series: &mut Series<'_>,
-    iso: Iso,
+    (iso, values): (Iso, &SensorValues),
     frames: &[&Frame<'_>],
     stops: Option<f64>,
     progress: &Progress,
 ) -> Result<IsoInput, NoiseError> {
     let (dark, lit): (Vec<&Frame>, Vec<&Frame>) = frames.iter().copied().partition(|frame| frame.dark);
-    let black = black(&dark, &lit);
+    let cut = values.cut_off();
+    let black = cut.map_or_else(|| black(&dark, &lit), |cut| cut.black);
     let means = |frames: &[&Frame]| frames.iter().map(|frame| frame.mean).collect::<Vec<_>>();
     let pairs =
         |members: &[usize], of: &[&Frame], series: &mut Series| -> Result<Vec<PairTiles>, NoiseError> {
@@ -231,7 +259,13 @@ fn input(
     steps.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut dark_pairs = vec![];
     for members in levels(&means(&dark)) {
-        dark_pairs.extend(pairs(&members, &dark, series)?);
+        match cut {
+            Some(cut) => members.iter().for_each(|&dark_frame| {
+                let why = format!("its noise is cut off at {:.0} DN: it tells that alone", cut.dn);
+                series.leave_out(dark[dark_frame].shot, why);
+            }),
+            None => dark_pairs.extend(pairs(&members, &dark, series)?),
+        }
     }
     let own = lit[0];
     Ok(IsoInput {
@@ -239,7 +273,9 @@ fn input(
         levels: steps.into_iter().map(|step| step.1).collect(),
         dark: dark_pairs,
         range: by_colour(own, |r, c| f64::from(own.levels.saturation[r][c]) - black[r][c]),
-        black: by_colour(own, |r, c| black[r][c]),
+        black: by_colour(own, |r, c| black[r][c] - cut.map_or(0.0, |cut| cut.dn)),
+        cut_off_dn: cut.map(|cut| cut.dn),
+        steps: values.steps(),
         saturation_source: own.levels.saturation_source,
         black_error: black_error(&dark),
         stops,
