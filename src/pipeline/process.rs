@@ -1,5 +1,6 @@
 //! `process`: a session's accepted pairs to reflectance texture, deviations, view counts and model.
 
+use super::calibrate;
 use super::certify::CertificateError;
 use super::colour::{ColoursError, SessionColours};
 use super::cost::Cost;
@@ -326,7 +327,9 @@ impl Inputs {
         let pairs: Vec<&PairRecord> = matched.iter().map(|(pair, _)| &**pair).collect();
         let of_pairs = matched.iter().map(|(pair, _)| pair.as_ref());
         let doubt = flash::doubt(&calibrated).into_iter();
-        let remarks = doubt.chain(develop::remarks(session, &calibrated.fit, of_pairs)?).collect();
+        let unchecked = calibrate::unchecked(session, &pairs).map_err(DevelopError::from)?;
+        let remarks =
+            doubt.chain(unchecked).chain(develop::remarks(session, &calibrated.fit, of_pairs)?).collect();
         let scaled = flash::scaled_for(&calibrated, pairs.iter().copied(), &scale)?;
         let colours = SessionColours::measured(session, &pairs)?;
         let mut parts: Vec<Vec<u8>> = vec![];

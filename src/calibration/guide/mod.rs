@@ -1,4 +1,10 @@
-//! What to shoot for each calibration, in words: the one source for page, API and terminal.
+//! What to shoot for each calibration, in words: the one source for page, API and terminal. What is still missing, and what
+//! is wrong with a shot, is told by [`Kind::lacks`] and [`Kind::fault`].
+
+mod lacks;
+mod texts;
+
+pub use lacks::Seen;
 
 use serde::{Deserialize, Serialize};
 
@@ -16,6 +22,8 @@ pub enum Kind {
     Flat,
     /// The flash.
     Flash,
+    /// How far the flash differs from shot to shot.
+    Steadiness,
     /// Camera RGB to linear sRGB and ACEScg.
     Colour,
 }
@@ -34,6 +42,8 @@ pub enum Role {
     Step,
     /// The white card, lit by the flash; its frame without flash goes with it.
     Card,
+    /// A plain surface, lit by the flash.
+    Lit,
     /// The colour chart, lit by the flash.
     Chart,
     /// The colour chart in the room's light alone.
@@ -51,6 +61,8 @@ pub struct Take {
     pub words: &'static str,
     /// How many are wanted.
     pub count: &'static str,
+    /// The same as a number; 0 where none is needed.
+    pub wanted: usize,
 }
 
 /// How one calibration is made.
@@ -72,8 +84,8 @@ pub struct Guide {
 
 impl Kind {
     /// All, in the order in which they are best made.
-    pub const ALL: [Kind; 6] =
-        [Kind::Levels, Kind::Noise, Kind::Exposure, Kind::Flat, Kind::Flash, Kind::Colour];
+    pub const ALL: [Kind; 7] =
+        [Kind::Levels, Kind::Noise, Kind::Exposure, Kind::Flat, Kind::Flash, Kind::Steadiness, Kind::Colour];
 
     /// Its stable name, which is that of its files, too.
     pub fn name(self) -> &'static str {
@@ -83,19 +95,29 @@ impl Kind {
             Kind::Exposure => "exposure",
             Kind::Flat => "flat",
             Kind::Flash => "flash",
+            Kind::Steadiness => "steadiness",
             Kind::Colour => "colour",
+        }
+    }
+
+    /// What `unlit calibrate` calls it.
+    pub fn command_name(self) -> &'static str {
+        match self {
+            Kind::Steadiness => "repeatability",
+            other => other.name(),
         }
     }
 
     /// How it is made.
     pub fn guide(self) -> &'static Guide {
         match self {
-            Kind::Levels => &LEVELS,
-            Kind::Noise => &NOISE,
-            Kind::Exposure => &EXPOSURE,
-            Kind::Flat => &FLAT,
-            Kind::Flash => &FLASH,
-            Kind::Colour => &COLOUR,
+            Kind::Levels => &texts::LEVELS,
+            Kind::Noise => &texts::NOISE,
+            Kind::Exposure => &texts::EXPOSURE,
+            Kind::Flat => &texts::FLAT,
+            Kind::Flash => &texts::FLASH,
+            Kind::Steadiness => &texts::STEADINESS,
+            Kind::Colour => &texts::COLOUR,
         }
     }
 
@@ -123,6 +145,16 @@ impl Kind {
         matches!(self, Kind::Flat | Kind::Flash)
     }
 
+    /// Whether it is true of the shots' polariser alone.
+    pub fn holds_for_polariser(self) -> bool {
+        !matches!(self, Kind::Levels | Kind::Noise)
+    }
+
+    /// Whether it is true of the shots' flash power alone.
+    pub fn holds_for_power(self) -> bool {
+        matches!(self, Kind::Flash | Kind::Steadiness)
+    }
+
     /// Whether it is true of the shots' lens alone.
     pub fn holds_for_lens(self) -> bool {
         matches!(self, Kind::Exposure | Kind::Flat | Kind::Flash)
@@ -133,7 +165,8 @@ impl std::str::FromStr for Kind {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        Kind::ALL.into_iter().find(|kind| kind.name() == text).ok_or_else(|| {
+        let called = |kind: &Kind| [kind.name(), kind.command_name()].contains(&text);
+        Kind::ALL.into_iter().find(called).ok_or_else(|| {
             let names: Vec<&str> = Kind::ALL.iter().map(|kind| kind.name()).collect();
             format!("there is no calibration {text:?}; there are {}", names.join(", "))
         })
@@ -149,6 +182,7 @@ impl Role {
             Role::Even => "even",
             Role::Step => "step",
             Role::Card => "card",
+            Role::Lit => "lit",
             Role::Chart => "chart",
             Role::Room => "room",
         }
@@ -156,7 +190,7 @@ impl Role {
 
     /// Whether the flash fires for it.
     pub fn is_lit_by_flash(self) -> bool {
-        matches!(self, Role::Card | Role::Chart)
+        matches!(self, Role::Card | Role::Lit | Role::Chart)
     }
 }
 
@@ -175,158 +209,6 @@ impl Guide {
     }
 }
 
-const LEVELS: Guide = Guide {
-    kind: Kind::Levels,
-    title: "Sensor levels",
-    gives: "What the sensor reads without light (black) and where it clips (saturation), for every ISO that you shoot. \
-            Without it, black comes from the file and saturation from a table or the file.",
-    steps: &[
-        "Set the camera to M and raw, with the ISO and the shutter time of your photographs.",
-        "Put the lens cap on and cover the viewfinder. Take two dark frames or more.",
-        "Take the cap off, and fill the frame with something bright and even: a lamp behind paper, a bright window. \
-         Over-expose it by three stops or more, and take one blown frame or more.",
-        "Do the same for every other ISO in use. A new measurement replaces the one before, so take all of them in \
-         one series.",
-    ],
-    takes: &[
-        Take {
-            role: Role::Dark,
-            name: "Dark frames",
-            words: "Lens cap on, viewfinder covered, no flash.",
-            count: "2 or more for each ISO",
-        },
-        Take {
-            role: Role::Blown,
-            name: "Blown frames",
-            words: "A bright, even surface, over-exposed by three stops or more.",
-            count: "1 or more for each ISO",
-        },
-    ],
-    command: "unlit calibrate levels SESSION --dark FILE... --blown FILE...",
-};
-
-const NOISE: Guide = Guide {
-    kind: Kind::Noise,
-    title: "Noise and linearity",
-    gives: "Electrons per DN, read noise, and how straight the sensor answers to light. Every uncertainty of the model \
-            comes from it. Without it, noise is estimated from the photographs.",
-    steps: &[
-        "Fill the frame with an evenly lit, plain surface, out of focus; camera on a tripod, light that does not flicker.",
-        "Start dark: the shortest shutter time at which the surface is not quite black. Take two frames, nothing touched \
-         in between.",
-        "Lengthen the shutter time by a stop, take two frames, and so on until the frame clips: eight levels of light or \
-         more. If you change the light instead, change it by the same number of stops each time, and say so below.",
-        "Put the lens cap on and take two dark frames at the same ISO.",
-    ],
-    takes: &[
-        Take {
-            role: Role::Even,
-            name: "Even frames",
-            words: "The lit surface, two frames at every level of light.",
-            count: "16 or more, in twos",
-        },
-        Take {
-            role: Role::Dark,
-            name: "Dark frames",
-            words: "Lens cap on, the same ISO: they make the read noise sure.",
-            count: "2",
-        },
-    ],
-    command: "unlit calibrate noise SESSION FILE... --dark FILE... [--stops STOPS]",
-};
-
-const EXPOSURE: Guide = Guide {
-    kind: Kind::Exposure,
-    title: "Exposure table",
-    gives: "What a third of a stop on each dial truly does. It is used wherever two frames have different settings. \
-            Without it, the labels are believed.",
-    steps: &[
-        "Put up a plain grey or white card, light it evenly and steadily (daylight lamps, no flicker); camera on a tripod, \
-         focus locked.",
-        "Find the brightest exposure at which nothing of the card clips.",
-        "Turn one dial from dark to bright in thirds of a stop, and take one frame at every step, nothing else \
-         touched. Six stops are enough.",
-        "Do the same with the other two dials; the light may change from one dial to the next.",
-    ],
-    takes: &[Take {
-        role: Role::Step,
-        name: "Steps",
-        words: "One frame at every third of a stop, in order, one dial after the other.",
-        count: "about 19 for each dial",
-    }],
-    command: "unlit calibrate exposure SESSION FILE...",
-};
-
-const FLAT: Guide = Guide {
-    kind: Kind::Flat,
-    title: "Vignetting",
-    gives: "How the lens darkens towards the corners, at one aperture and focal length. With it, the flash's own lobe can \
-            be told from the lens's darkening.",
-    steps: &[
-        "Set aperture and focal length as for your photographs.",
-        "Fill the frame with something evenly lit, out of focus: an overcast sky, a white wall far from its lamps, a \
-         light table, or a diffuser before the lens. The middle of the frame at about half of saturation.",
-        "Take five frames or more, and turn the camera by 90 and 180 degrees between them, so that what is uneven in the \
-         light averages out.",
-    ],
-    takes: &[Take {
-        role: Role::Even,
-        name: "Even frames",
-        words: "The even surface, the camera turned between frames.",
-        count: "5 or more",
-    }],
-    command: "unlit calibrate flat SESSION FILE...",
-};
-
-const FLASH: Guide = Guide {
-    kind: Kind::Flash,
-    title: "Flash",
-    gives: "How much light the flash throws, where, and how it falls off with distance. No model can be made without it.",
-    steps: &[
-        "Put a flat, matt white card before the camera, square to it, so that it fills the frame.",
-        "Set aperture, ISO and power of the flash as for your photographs. The shutter may differ: a flash is an \
-         energy, not a power.",
-        "Measure from the lens to the card, and take the card three times: each time a frame without flash and one \
-         with it.",
-        "Do the same at three distances or more, from the nearest at which nothing clips to the farthest at which you \
-         photograph.",
-    ],
-    takes: &[Take {
-        role: Role::Card,
-        name: "Card shots",
-        words: "The card at a known distance, with and without flash.",
-        count: "3 at each of 3 distances or more",
-    }],
-    command: "unlit calibrate flash SESSION --ring-radii IN,OUT --shots DIST_M=FILE[,OFF]...",
-};
-
-const COLOUR: Guide = Guide {
-    kind: Kind::Colour,
-    title: "Colour",
-    gives: "How the camera's own colours become linear sRGB and ACEScg. Without it, the camera maker's matrix is used.",
-    steps: &[
-        "Lay a ColorChecker 24 or a SpyderCHECKR 24 where the object will be: flat, whole in the frame, in focus, free of \
-         reflections.",
-        "Expose so that its white patch does not clip.",
-        "Take it lit by the flash. Where the room is not dark, take it once more without flash, nothing moved.",
-    ],
-    takes: &[
-        Take {
-            role: Role::Chart,
-            name: "Chart, lit by the flash",
-            words: "The whole chart, at any angle.",
-            count: "1",
-        },
-        Take {
-            role: Role::Room,
-            name: "Chart without flash",
-            words: "The same frame in the room's light alone, where the room is not dark.",
-            count: "1, or none",
-        },
-    ],
-    command: "unlit calibrate colour SESSION FILE [--off FILE]",
-};
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -336,8 +218,9 @@ mod tests {
         for kind in Kind::ALL {
             let guide = kind.guide();
             assert_eq!((guide.kind, kind.name().parse()), (kind, Ok(kind)));
+            assert_eq!(kind.command_name().parse(), Ok(kind));
             assert!(guide.steps.len() >= 3 && !guide.takes.is_empty(), "{kind:?}");
-            assert!(guide.command.starts_with(&format!("unlit calibrate {} SESSION", kind.name())));
+            assert!(guide.command.starts_with(&format!("unlit calibrate {} SESSION", kind.command_name())));
             let text = guide.text();
             for step in guide.steps {
                 assert!(step.ends_with('.') && !step.contains("  ") && text.contains(step), "{step}");

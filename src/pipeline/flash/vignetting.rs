@@ -43,8 +43,12 @@ pub(super) fn of(
     };
     let path = session.calibration_dir().join("flat.json");
     let blake3 = store::digest_file(&path).map_err(|source| FlashError::Io { path, source })?;
+    let unchecked = match record.rig.tells_body() {
+        true => "",
+        false => " NOBODY CHECKED OF WHICH BODY AND LENS IT IS: its frames do not tell.",
+    };
     let sentence = format!(
-        "The vignetting is that of the session's flat field of {}; how well that is known is in the lobe's interval.",
+        "The vignetting is that of the session's flat field of {}; how well that is known is in the lobe's interval.{unchecked}",
         record.measured
     );
     Ok(Known {
