@@ -58,6 +58,11 @@ impl Progress {
         self.cancel.load(Ordering::Relaxed)
     }
 
+    /// The same for what must come to its end once it has begun: reports go on, and nobody's wish stops it.
+    pub fn unstoppable(&self) -> Self {
+        Self { cancel: Arc::default(), sink: self.sink.clone() }
+    }
+
     /// `Err(Cancelled)` once the work was asked to stop: `progress.check()?`.
     pub fn check(&self) -> Result<(), Cancelled> {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }

@@ -114,6 +114,11 @@ impl Rig {
         Self { make, model, serial, lens, lighting: Lighting::default() }
     }
 
+    /// Whether it is known which body it is. If not, frames of every body pass for its own, and that has to be said.
+    pub fn tells_body(&self) -> bool {
+        self.model.is_some()
+    }
+
     /// Refuses a frame of another body. What either does not tell is not held against it.
     pub fn same_body(&self, settings: &Settings, of: &'static str) -> Result<(), OtherRig> {
         let found = Self::of(settings);
@@ -135,6 +140,18 @@ impl Rig {
         }
         let (found, expected) = (lighting.polariser_words(), self.lighting.polariser_words());
         Err(OtherRig { what: "polariser", found: found.into(), expected: expected.into(), of })
+    }
+
+    /// Refuses another power of the flash, as far as both were told.
+    pub fn same_power(&self, lighting: &Lighting, of: &'static str) -> Result<(), OtherRig> {
+        let power = |of: &Lighting| of.flash_power.unwrap_or(1.0).to_string().into();
+        match self.lighting.same_power(lighting) {
+            true => Ok(()),
+            false => {
+                let (found, expected) = (power(lighting), power(&self.lighting));
+                Err(OtherRig { what: "flash power", found, expected, of })
+            }
+        }
     }
 }
 

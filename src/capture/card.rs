@@ -2,7 +2,7 @@
 
 use super::place::{Place, PlaceError, Shots, note};
 use crate::pair::order::Program;
-use crate::pair::{Expected, FlashRecord, FrameRecord, Plan, Reason, Window};
+use crate::pair::{Expected, FlashRecord, FrameRecord, Lighting, Plan, Reason, Window};
 use crate::photometry::levels::MeasuredLevels;
 use crate::pipeline::flash::SHOT_RECORD;
 use crate::pipeline::levels;
@@ -29,6 +29,9 @@ pub struct CalibrationShot {
     /// The controller's account; absent for manual flashes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub flash: Option<FlashRecord>,
+    /// Polariser and flash power of the session when it was taken.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lighting: Option<Lighting>,
 }
 
 /// `calibration/flash` of a session.
@@ -210,6 +213,7 @@ impl Place for CardPlace<'_> {
             off: session::frame_record("off", &shots.off.new_frame()),
             on: session::frame_record("on", &shots.on.new_frame()),
             flash: shots.flash.clone(),
+            lighting: Some(self.session.manifest().lighting),
         };
         self.write(&shot, &shots)?;
         note(self.session, session::SHOT_STORED, json!({ "name": self.name }))?;

@@ -7,7 +7,7 @@ use super::events::Topic;
 use super::hands::{Hands, exposure_of};
 use super::place::name_of;
 use crate::calibration::guide::{Kind, Role};
-use crate::pair::{Exposure, Settings};
+use crate::pair::{Exposure, FlashRecord, Settings};
 use crate::pipeline::calibrate::waiting::{self, Incoming, Origin, WaitingShot};
 use crate::progress::Progress;
 use crate::rig::Shot;
@@ -26,22 +26,34 @@ pub struct ShotWish {
     pub distance_m: Option<f64>,
     /// Where the dials are to stand for it; as they stand if `None`. Afterwards they stand as before.
     pub exposure: Option<Exposure>,
+    /// How many, one after the other, nothing changed in between.
+    pub count: u32,
 }
+
+/// A frame, and the energy of its pulse in counts, if a controller measured it.
+type Measured = (Shot, Option<f64>);
 
 /// Tag of a calibration frame at the flash controller; test shots have the one above, pairs count from 1 up.
 const TAG: u32 = u32::MAX - 1;
 
 impl Engine {
-    /// Shoots one frame for a calibration, with flash if its role is lit by it, and has it wait for the fit.
+    /// Shoots one frame for a calibration, with flash if its role is lit by it, and has it wait for the fit. It is the `n`th
+    /// of `count`, from 0 up.
     pub(super) fn shoot_frame(
         &self,
         session: &Session,
         (kind, role): (Kind, Role),
         exposure: Option<Exposure>,
+        (n, count): (u32, u32),
         progress: &Progress,
     ) -> Result<WaitingShot, CaptureError> {
         session.require_room()?;
-        let shot = {
+        let step = |doing: &str, half: usize| match count {
+            1 => progress.report(&format!("{doing} the frame"), half, 2),
+            _ => progress.report(&format!("{doing} frame {} of {count}", n + 1), n as usize, count as usize),
+        };
+        step("Taking", 0);
+        let (shot, energy_counts) = {
             let mut bench = self.take_bench();
             let mut hands = Hands { bench: &mut bench, prompter: self.prompter(), progress };
             let outcome = self.frame(&mut hands, role, exposure);
@@ -50,13 +62,14 @@ impl Engine {
             }
             outcome?
         };
-        progress.report("Storing the frame", 1, 2);
+        step("Storing", 1);
         let incoming = Incoming {
             role,
             distance_m: None,
             frame: (&shot.raw.name, &shot.raw.bytes),
             off: None,
             origin: Origin::Camera,
+            energy_counts,
         };
         let kept = waiting::add(session, kind, incoming).map_err(CaptureError::Waiting)?;
         let words = format!("Frame {} for {} ({}) is stored.", kept.number, kind.name(), role.name());
@@ -66,11 +79,15 @@ impl Engine {
     }
 
     /// The shot; a device that fails is brought back and it is taken again.
-    fn frame(&self, hands: &mut Hands, role: Role, exposure: Option<Exposure>) -> Result<Shot, CaptureError> {
+    fn frame(
+        &self,
+        hands: &mut Hands,
+        role: Role,
+        exposure: Option<Exposure>,
+    ) -> Result<Measured, CaptureError> {
         let mut attempt = 1;
         loop {
             hands.progress.check()?;
-            hands.progress.report("Taking the frame", 0, 2);
             match self.one_frame(hands, role.is_lit_by_flash(), exposure) {
                 Err(error) if attempt < ATTEMPTS && worth_another_try(&error, hands.bench) => {
                     attempt += 1;
@@ -87,7 +104,7 @@ impl Engine {
         hands: &mut Hands,
         flash: bool,
         exposure: Option<Exposure>,
-    ) -> Result<Shot, CaptureError> {
+    ) -> Result<Measured, CaptureError> {
         let told = hands.lock()?;
         let Some(wanted) = exposure else { return hands.calibration_frame(flash) };
         let before = exposure_of(&told).ok_or(CaptureError::ExposureUntold)?;
@@ -108,21 +125,22 @@ impl Engine {
 }
 
 impl Hands<'_> {
-    fn calibration_frame(&mut self, flash: bool) -> Result<Shot, CaptureError> {
+    fn calibration_frame(&mut self, flash: bool) -> Result<Measured, CaptureError> {
         // Without flash it is the light that is there, whatever the flash is; a gate is closed all the same.
         match self.bench.flash()? {
             FlashKind::Controller(_) => self.close_gate()?,
             FlashKind::Manual | FlashKind::None => {}
         }
         if !flash {
-            return self.release();
+            return Ok((self.release()?, None));
         }
         self.arm(TAG)?;
         let shot = self.release()?;
-        let pulses = self.count()?.map(|syncs| syncs.iter().filter(|sync| sync.triggered).count());
-        if pulses.is_some_and(|pulses| pulses != 1) {
-            return Err(CaptureError::FrameMisfired);
+        let Some(syncs) = self.count()? else { return Ok((shot, None)) };
+        let record = FlashRecord { off: vec![], on: syncs };
+        match record.on.iter().filter(|sync| sync.triggered).count() {
+            1 => Ok((shot, record.energy_counts())),
+            _ => Err(CaptureError::FrameMisfired),
         }
-        Ok(shot)
     }
 }

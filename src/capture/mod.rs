@@ -29,7 +29,7 @@ mod wish;
 pub use bench::{DeviceState, Devices, FlashKind, ListCameras, OpenCamera, OpenFlash, RigSource};
 pub use card::{CalibrationShot, calibration_frames, calibration_shots};
 pub use desk::{
-    CalibrationState, Desk, DeskError, FlashCard, FlashOrder, Glance, IncomingFrames, SceneFiles, SeriesShot,
+    CalibrationState, Desk, DeskError, FlashCard, Glance, IncomingFrames, SceneFiles, SeriesShot,
     SessionSummary, Works,
 };
 pub use engine::{AfterPair, CameraState, Engine, words_on};

@@ -129,7 +129,8 @@ impl Engine {
         let report =
             RepeatReport { taken, settings, region: window, left_out, remarks, result: result.clone() };
         keep(session, &report)?;
-        report::write(session, progress)?;
+        // The series counts from here on, whether anybody wants to stop or not.
+        report::write(session, &progress.unstoppable())?;
         Ok(result)
     }
 

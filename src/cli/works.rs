@@ -1,13 +1,12 @@
 //! The processing that `unlit serve` sets off, as the desk wants it.
 
-use super::calibrate::PAPER;
+use crate::calibration::Plane;
 use crate::calibration::guide::Kind;
-use crate::calibration::{Plane, Target};
 use crate::capture::{FlashCard, SceneFiles, Works, calibration_frames};
 use crate::jobs::WorkError;
 use crate::pipeline::calibrate::guided::{self, FitOrder};
 use crate::pipeline::calibrate::waiting;
-use crate::pipeline::flash::{self, CardFacts, CardFiles, FlashError};
+use crate::pipeline::flash::{self, CardFiles};
 use crate::pipeline::process::{self, ProcessError, ProcessOptions};
 use crate::pipeline::scene::{self, Lengths, SceneError, Unit};
 use crate::pipeline::standing;
@@ -58,9 +57,11 @@ fn process(session: &Session, (): (), progress: &Progress) -> Result<Value, Work
 fn calibrate_flash(session: &Session, card: FlashCard, progress: &Progress) -> Result<Value, WorkError> {
     let FlashCard { order, shots } = card;
     let failed = |error| WorkError::failed("calibration_failed", error);
-    let sent = waiting::list(session, Kind::Flash).map_err(failed)?;
+    let mut sent = waiting::list(session, Kind::Flash).map_err(failed)?;
+    let wanted = |id: &str| order.one_shot.as_ref().is_none_or(|one| one == id);
+    sent.retain(|shot| wanted(&shot.number.to_string()));
     let mut files = vec![];
-    for shot in &shots {
+    for shot in shots.iter().filter(|shot| wanted(&shot.name)) {
         let (off, on) = calibration_frames(session, shot);
         let held_out = order.held_out.contains(&shot.name);
         let plane = Some(Plane::facing(shot.distance_m));
@@ -68,20 +69,15 @@ fn calibrate_flash(session: &Session, card: FlashCard, progress: &Progress) -> R
     }
     for shot in &sent {
         let (on, off) = waiting::card_frames(session, shot).map_err(failed)?;
-        // A card shot is not taken in without its distance.
-        let plane = Some(Plane::facing(shot.distance_m.unwrap_or_default()));
+        let plane = shot.distance_m.map(Plane::facing);
         files.push(CardFiles { plane, on, off, held_out: order.held_out.contains(&shot.number.to_string()) });
     }
-    let target = Target::lambertian(order.target_reflectance.unwrap_or(PAPER));
-    let facts = CardFacts {
-        paper: order.target_reflectance.is_none(),
-        focal_px: order.focal_px,
-        ..CardFacts::plain(target, order.ring_radii)
+    let facts = order.facts();
+    let record = match order.one_shot {
+        Some(_) => flash::correct(session, &files, &facts, progress),
+        None => flash::calibrate(session, &files, &facts, progress),
     };
-    let record = flash::calibrate(session, &files, &facts, progress).map_err(|error| match error {
-        FlashError::Cancelled(_) => WorkError::Cancelled,
-        other => WorkError::failed("calibration_failed", other),
-    })?;
+    let record = record.map_err(stopped_or_failed(progress))?;
     if record.verdict.good {
         guided::settle(session, Kind::Flash, sent.iter().map(|shot| shot.number)).map_err(failed)?;
     }
@@ -89,10 +85,12 @@ fn calibrate_flash(session: &Session, card: FlashCard, progress: &Progress) -> R
 }
 
 fn calibrate(session: &Session, order: FitOrder, progress: &Progress) -> Result<Value, WorkError> {
-    guided::fit(session, &order, progress).map_err(|error| match progress.is_cancelled() {
-        true => WorkError::Cancelled,
-        false => WorkError::failed("calibration_failed", error),
-    })
+    guided::fit(session, &order, progress).map_err(stopped_or_failed(progress))
+}
+
+fn stopped_or_failed<E: std::fmt::Display>(progress: &Progress) -> impl FnOnce(E) -> WorkError {
+    let cancelled = progress.is_cancelled();
+    move |error| if cancelled { WorkError::Cancelled } else { WorkError::failed("calibration_failed", error) }
 }
 
 fn import_scene(session: &Session, files: SceneFiles, progress: &Progress) -> Result<Value, WorkError> {

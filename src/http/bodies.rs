@@ -6,7 +6,7 @@ use super::mirror_body::MirrorBody;
 use super::pair_bodies::PairBody;
 use super::studio_bodies::StudioBody;
 use crate::capture::{self, SessionSummary};
-use crate::http::camera_bodies::{PlanBody, WindowBody};
+use crate::http::camera_bodies::{LightingBody, PlanBody, WindowBody};
 use crate::http::links;
 use crate::http::sequence_bodies::SequenceBody;
 use crate::session::Room;
@@ -74,6 +74,8 @@ pub(super) struct SessionBody {
     exposure: Option<PlanBody>,
     /// Where the object is in the frame; absent: the whole frame.
     region: Option<WindowBody>,
+    /// Polariser and flash power.
+    lighting: LightingBody,
     /// Settings that the camera does not tell and the operator has confirmed.
     confirmed: Vec<String>,
     /// Finished results.
@@ -124,6 +126,7 @@ impl From<SessionSummary> for SessionBody {
             has_flash_calibration: s.has_flash_calibration,
             exposure: s.plan.map(Into::into),
             region: s.region.map(Into::into),
+            lighting: s.lighting.into(),
             confirmed: s.confirmed,
             room: s.room.map(Into::into),
             recovered: s.recovered,

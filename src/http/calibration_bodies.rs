@@ -1,12 +1,13 @@
 //! Calibrations on the wire.
 
-use super::camera_bodies::ExposureBody;
+use super::camera_bodies::{ExposureBody, LightingBody};
 use super::links;
 use crate::calibration::colour::ChartKind;
 use crate::calibration::guide::{Guide, Kind, Role, Take};
-use crate::capture::{CalibrationState, FlashOrder, SeriesShot, ShotWish};
+use crate::capture::{CalibrationState, SeriesShot, ShotWish};
 use crate::pipeline::calibrate::guided::{FitOrder, Measured};
 use crate::pipeline::calibrate::waiting::Origin;
+use crate::pipeline::flash::FlashOrder;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -24,6 +25,8 @@ pub(super) enum CalibrationKind {
     Flat,
     /// The flash.
     Flash,
+    /// Repeatability of the flash.
+    Steadiness,
     /// Camera RGB to linear sRGB and ACEScg.
     Colour,
 }
@@ -36,6 +39,7 @@ impl From<CalibrationKind> for Kind {
             CalibrationKind::Exposure => Kind::Exposure,
             CalibrationKind::Flat => Kind::Flat,
             CalibrationKind::Flash => Kind::Flash,
+            CalibrationKind::Steadiness => Kind::Steadiness,
             CalibrationKind::Colour => Kind::Colour,
         }
     }
@@ -44,7 +48,7 @@ impl From<CalibrationKind> for Kind {
 /// Frames of one role.
 #[derive(Serialize, ToSchema)]
 pub(super) struct TakeBody {
-    /// `dark`, `blown`, `even`, `step`, `card`, `chart` or `room`.
+    /// `dark`, `blown`, `even`, `step`, `card`, `lit`, `chart` or `room`.
     #[schema(value_type = String, example = "dark")]
     role: Role,
     /// What such frames are called.
@@ -53,6 +57,10 @@ pub(super) struct TakeBody {
     words: &'static str,
     /// How many are wanted.
     count: &'static str,
+    /// The same as a number; 0 where none is needed.
+    wanted: usize,
+    /// Shots that wait and can be used.
+    taken: usize,
 }
 
 /// How a calibration is made, in words for people.
@@ -106,6 +114,8 @@ pub(super) struct CalibrationShotBody {
     clipped_share: Option<f64>,
     /// Why the fit leaves it out, in sentences.
     reasons: Vec<String>,
+    /// What is wrong with its exposure, and what to do; absent if nothing is, and of card shots that were taken here.
+    fault: Option<&'static str>,
     /// Whether what was measured comes from it.
     in_record: bool,
 }
@@ -125,6 +135,8 @@ pub(super) struct ValidityBody {
     apertures: Vec<f64>,
     /// Sensitivities.
     isos: Vec<f64>,
+    /// Polariser and flash power.
+    lighting: LightingBody,
     /// All of it in one sentence.
     words: String,
 }
@@ -159,13 +171,15 @@ pub(super) struct MeasuredBody {
 /// How one calibration stands.
 #[derive(Serialize, ToSchema)]
 pub(super) struct CalibrationBody {
-    /// `levels`, `noise`, `exposure`, `flat`, `flash` or `colour`.
+    /// `levels`, `noise`, `exposure`, `flat`, `flash`, `steadiness` or `colour`.
     #[schema(value_type = String, example = "levels")]
     kind: Kind,
     /// How it is made.
     guide: GuideBody,
     /// The shots that the next fit takes.
     shots: Vec<CalibrationShotBody>,
+    /// What they lack for a fit that is worth its while, in sentences.
+    lacks: Vec<String>,
     /// What was measured; absent if nothing was.
     measured: Option<MeasuredBody>,
     /// Why what was measured cannot be read.
@@ -174,15 +188,22 @@ pub(super) struct CalibrationBody {
 
 impl CalibrationBody {
     pub(super) fn new(session: &str, state: CalibrationState) -> Self {
-        let CalibrationState { kind, shots, measured, unreadable } = state;
+        let CalibrationState { kind, shots, lacks, measured, unreadable } = state;
         let Guide { title, gives, steps, takes, command, .. } = *kind.guide();
-        let take =
-            |take: &Take| TakeBody { role: take.role, name: take.name, words: take.words, count: take.count };
+        let take = |take: &Take| TakeBody {
+            role: take.role,
+            name: take.name,
+            words: take.words,
+            count: take.count,
+            wanted: take.wanted,
+            taken: shots.iter().filter(|shot| shot.role == take.role && shot.is_usable()).count(),
+        };
         let takes = takes.iter().map(take).collect();
         Self {
             kind,
             guide: GuideBody { title, gives, steps: steps.to_vec(), takes, command },
             shots: shots.into_iter().map(|shot| CalibrationShotBody::new(session, shot)).collect(),
+            lacks,
             measured: measured.map(|measured| MeasuredBody::new(session, measured)),
             unreadable,
         }
@@ -210,6 +231,7 @@ impl CalibrationShotBody {
             mean_share: shot.mean_share,
             clipped_share: shot.clipped_share,
             reasons: shot.reasons,
+            fault: shot.fault,
             in_record: shot.in_record,
         }
     }
@@ -234,6 +256,7 @@ impl MeasuredBody {
                 lens: validity.rig.lens,
                 apertures: validity.apertures.iter().map(|n| n.0).collect(),
                 isos: validity.isos.iter().map(|iso| iso.0).collect(),
+                lighting: validity.rig.lighting.into(),
                 words,
             },
             shots: shots.len(),
@@ -258,13 +281,18 @@ pub(super) struct CalibrationShotOrder {
     /// shots.
     #[serde(skip_serializing_if = "Option::is_none")]
     exposure: Option<ExposureBody>,
+    /// How many, one after the other with nothing changed in between, 1 to 100; one without it. Of card shots, each a
+    /// frame without flash and one with it.
+    #[schema(example = 40)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    count: Option<u32>,
 }
 
 impl CalibrationShotOrder {
     /// The wish for a shot of this kind.
     pub(super) fn of(self, kind: Kind) -> ShotWish {
-        let Self { role, distance_m, exposure } = self;
-        ShotWish { kind, role, distance_m, exposure: exposure.map(Into::into) }
+        let Self { role, distance_m, exposure, count } = self;
+        ShotWish { kind, role, distance_m, exposure: exposure.map(Into::into), count: count.unwrap_or(1) }
     }
 }
 
@@ -280,7 +308,7 @@ pub(super) struct CalibrationShotForm {
     off: Option<Vec<u8>>,
     /// As what they were shot; may be left out where there is one role only.
     role: Option<String>,
-    /// Distance from the lens to the card, metres; of card shots.
+    /// Distance from the lens to the card, metres; of card shots, where no AprilTags tell it.
     distance_m: Option<f64>,
 }
 
@@ -292,13 +320,31 @@ pub(super) struct CalibrationOrder {
     /// Lambertian.
     #[schema(example = 0.94)]
     target_reflectance: Option<f64>,
-    /// `flash`: inner and outer radius of the ring lamp, metres.
+    /// `flash`: how the card's reflectance goes with the angle from its normal: degrees, rising, and the factor.
+    #[schema(example = json!([[0.0, 1.0], [20.0, 0.99], [40.0, 0.97]]))]
+    target_curve: Option<Vec<[f64; 2]>>,
+    /// `flash`: inner and outer radius of the ring lamp, metres; needed but with `one_shot`.
     #[schema(example = json!([0.035, 0.085]))]
     ring_radii: Option<[f64; 2]>,
+    /// `flash`: lets the shots tell the radii where they can, in place of the ruler.
+    fit_radii: Option<bool>,
     /// `flash`: focal length in pixels, where no scene is imported yet.
     focal_px: Option<f64>,
+    /// `flash`: side of the black squares of AprilTags (tag36h11) on the card, metres.
+    #[schema(example = 0.07)]
+    tag_size_m: Option<f64>,
+    /// `flash`: how far a tag's paper reaches beyond its black square, metres; an eighth of it without this.
+    tag_outset_m: Option<f64>,
+    /// `flash`: coefficients of the lens's vignetting 1 + a1 q + a2 q^2 + a3 q^3, q = (r / half diagonal)^2; the session's
+    /// flat field's without it.
+    vignetting: Option<[f64; 3]>,
     /// `flash`: ids of shots that are kept from the fit, to check it.
     held_out: Option<Vec<String>>,
+    /// `flash`: id of the one shot that corrects the calibration that is there for another power, in place of a fit.
+    #[schema(example = "d01000_1")]
+    one_shot: Option<String>,
+    /// `flash`: polariser and power, where they are not those that were noted with the shots.
+    lighting: Option<LightingBody>,
     /// `noise`: stops of light from one level to the next, if the light was changed and not the shutter time.
     #[schema(example = 1.0)]
     stops: Option<f64>,
@@ -321,15 +367,21 @@ pub(super) enum Fit {
 impl CalibrationOrder {
     /// The order for this kind; the error is a sentence.
     pub(super) fn of(self, kind: Kind) -> Result<Fit, String> {
-        let Self { target_reflectance, ring_radii, focal_px, held_out, stops, chart, corners_px } = self;
         let given = [
-            ("target_reflectance", Kind::Flash, target_reflectance.is_some()),
-            ("ring_radii", Kind::Flash, ring_radii.is_some()),
-            ("focal_px", Kind::Flash, focal_px.is_some()),
-            ("held_out", Kind::Flash, held_out.is_some()),
-            ("stops", Kind::Noise, stops.is_some()),
-            ("chart", Kind::Colour, chart.is_some()),
-            ("corners_px", Kind::Colour, corners_px.is_some()),
+            ("target_reflectance", Kind::Flash, self.target_reflectance.is_some()),
+            ("target_curve", Kind::Flash, self.target_curve.is_some()),
+            ("ring_radii", Kind::Flash, self.ring_radii.is_some()),
+            ("fit_radii", Kind::Flash, self.fit_radii.is_some()),
+            ("focal_px", Kind::Flash, self.focal_px.is_some()),
+            ("tag_size_m", Kind::Flash, self.tag_size_m.is_some()),
+            ("tag_outset_m", Kind::Flash, self.tag_outset_m.is_some()),
+            ("vignetting", Kind::Flash, self.vignetting.is_some()),
+            ("held_out", Kind::Flash, self.held_out.is_some()),
+            ("one_shot", Kind::Flash, self.one_shot.is_some()),
+            ("lighting", Kind::Flash, self.lighting.is_some()),
+            ("stops", Kind::Noise, self.stops.is_some()),
+            ("chart", Kind::Colour, self.chart.is_some()),
+            ("corners_px", Kind::Colour, self.corners_px.is_some()),
         ];
         if let Some((field, of, _)) = given.into_iter().find(|(_, of, given)| *given && *of != kind) {
             return Err(format!(
@@ -340,16 +392,24 @@ impl CalibrationOrder {
         }
         Ok(match kind {
             Kind::Levels => Fit::Other(FitOrder::Levels),
-            Kind::Noise => Fit::Other(FitOrder::Noise { stops }),
+            Kind::Noise => Fit::Other(FitOrder::Noise { stops: self.stops }),
             Kind::Exposure => Fit::Other(FitOrder::Exposure),
             Kind::Flat => Fit::Other(FitOrder::Flat),
-            Kind::Colour => Fit::Other(FitOrder::Colour { chart, corners_px }),
-            Kind::Flash => {
-                let ring_radii = ring_radii
-                    .ok_or("ring_radii is missing: inner and outer radius of the ring lamp in metres")?;
-                let held_out = held_out.unwrap_or_default();
-                Fit::Flash(FlashOrder { target_reflectance, ring_radii, focal_px, held_out })
-            }
+            Kind::Steadiness => Fit::Other(FitOrder::Steadiness),
+            Kind::Colour => Fit::Other(FitOrder::Colour { chart: self.chart, corners_px: self.corners_px }),
+            Kind::Flash => Fit::Flash(FlashOrder {
+                target_reflectance: self.target_reflectance,
+                target_curve: self.target_curve.unwrap_or_default(),
+                ring_radii: self.ring_radii,
+                fit_radii: self.fit_radii.unwrap_or_default(),
+                focal_px: self.focal_px,
+                tag_size_m: self.tag_size_m,
+                tag_outset_m: self.tag_outset_m,
+                vignetting: self.vignetting,
+                held_out: self.held_out.unwrap_or_default(),
+                one_shot: self.one_shot,
+                lighting: self.lighting.map(Into::into),
+            }),
         })
     }
 }

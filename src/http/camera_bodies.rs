@@ -2,7 +2,7 @@
 
 use crate::capture::{CameraState, ExposureWish};
 use crate::pair::finding::Keep;
-use crate::pair::{Exposure, Plan, Window};
+use crate::pair::{Exposure, Lighting, Plan, Polariser, Window};
 use crate::photometry::inspect::{ChannelFigures, Inspection};
 use crate::rig::{CameraInfo, LockItem, LockState};
 use crate::units::{FNumber, Iso, Seconds};
@@ -159,6 +159,40 @@ impl From<WindowBody> for Window {
 impl From<Window> for WindowBody {
     fn from(Window { x, y, width, height }: Window) -> Self {
         Self { x, y, width, height }
+    }
+}
+
+/// What no file tells of how photographs are lit and seen.
+#[derive(Clone, Copy, Default, Serialize, Deserialize, ToSchema)]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct LightingBody {
+    /// The polariser before the lens; absent: none.
+    polariser: Option<PolariserBody>,
+    /// Part of its full power that the flash is set to, above 0 to 1; absent: not told.
+    #[schema(example = 0.25)]
+    flash_power: Option<f64>,
+}
+
+/// A linear polariser.
+#[derive(Clone, Copy, Default, Serialize, Deserialize, ToSchema)]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct PolariserBody {
+    /// Its angle as its ring is read, degrees; a half turn is the same. Absent: not read.
+    #[schema(example = 30.0)]
+    angle_degrees: Option<f64>,
+}
+
+impl From<LightingBody> for Lighting {
+    fn from(LightingBody { polariser, flash_power }: LightingBody) -> Self {
+        let polariser = polariser.map(|PolariserBody { angle_degrees }| Polariser { angle_degrees });
+        Self { polariser, flash_power }
+    }
+}
+
+impl From<Lighting> for LightingBody {
+    fn from(Lighting { polariser, flash_power }: Lighting) -> Self {
+        let polariser = polariser.map(|Polariser { angle_degrees }| PolariserBody { angle_degrees });
+        Self { polariser, flash_power }
     }
 }
 

@@ -22,7 +22,7 @@ pub(super) struct JobBody {
     /// Where to ask for it.
     url: String,
     /// `pair`, `develop`, `find_exposure`, `flash_shots`, `calibration_shot`, `repeatability`, `calibrate_levels`,
-    /// `calibrate_noise`, `calibrate_exposure`, `calibrate_flat`, `calibrate_flash`, `calibrate_colour`, `import_scene`,
+    /// `calibrate_noise`, `calibrate_exposure`, `calibrate_flat`, `calibrate_flash`, `calibrate_steadiness`, `calibrate_colour`, `import_scene`,
     /// `process` or `verify`.
     #[schema(example = "pair")]
     kind: String,

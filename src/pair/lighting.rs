@@ -52,6 +52,19 @@ impl Lighting {
         *self == Self::default()
     }
 
+    /// Refuses what cannot be, with a sentence.
+    pub fn checked(self) -> Result<Self, String> {
+        match (self.polariser.and_then(|p| p.angle_degrees), self.flash_power) {
+            (Some(angle), _) if !(angle.abs() <= 360.0) => {
+                Err(format!("the polariser's angle is {angle}; give degrees from -360 to 360"))
+            }
+            (_, Some(power)) if !(power > 0.0 && power <= 1.0) => Err(format!(
+                "flash_power is {power}; give the part of the flash's full power, 0.25 say, above 0 and at most 1"
+            )),
+            _ => Ok(self),
+        }
+    }
+
     /// The polariser in words.
     pub fn polariser_words(&self) -> String {
         self.polariser.map_or_else(|| "none".into(), |p| p.to_string())
@@ -99,6 +112,15 @@ mod tests {
         let at = |power| Lighting { flash_power: power, ..Lighting::default() };
         assert!(at(Some(0.25)).same_power(&at(Some(0.251))) && at(None).same_power(&at(Some(1.0))));
         assert!(!at(Some(0.25)).same_power(&at(Some(0.5))));
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused() {
+        let at = |power| Lighting { flash_power: Some(power), ..Lighting::default() };
+        assert!(at(0.25).checked().is_ok() && through(Some(-90.0)).checked().is_ok());
+        for wrong in [at(0.0), at(1.5), at(f64::NAN), through(Some(400.0)), through(Some(f64::NAN))] {
+            assert!(wrong.checked().is_err(), "{wrong:?}");
+        }
     }
 
     #[test]

@@ -23,7 +23,7 @@ pub enum ColoursError {
     Record(#[from] RecordError),
     /// It is another camera's.
     #[error(
-        "the colours of pair {pair} cannot be told by {}: {source}; shoot the chart with the camera of the pairs (`unlit calibrate colour`), or remove that file to go by the maker's matrix", file.display()
+        "the colours of pair {pair} cannot be told by {}: {source}; shoot the chart with the camera and the polariser of the pairs (`unlit calibrate colour`), or remove that file to go by the maker's matrix", file.display()
     )]
     OtherRig {
         /// The pair.
@@ -115,12 +115,13 @@ pub struct SessionColours {
 }
 
 impl SessionColours {
-    /// By a chart alone; refuses one of another body than the pairs'.
+    /// By a chart alone; refuses one of another body than the pairs', or through another polariser.
     pub fn measured(session: &Session, pairs: &[&PairRecord]) -> Result<Self, ColoursError> {
         let Some(record) = load(session)? else { return Ok(Self::default()) };
         let file = calibrate::file(session, KIND);
         for pair in pairs {
-            SessionColour::fits(&record, &pair.on.settings).map_err(|source| ColoursError::OtherRig {
+            let fits = SessionColour::fits(&record, &pair.on.settings, &pair.lighting);
+            fits.map_err(|source| ColoursError::OtherRig {
                 pair: pair.name.clone(),
                 file: file.clone(),
                 source: Box::new(source),
@@ -136,6 +137,11 @@ impl SessionColours {
             let note = format!("the session's colour calibration is not good enough and was not used: {why}");
             return Self { matrix: None, note: Some(note) };
         }
+        let note = (!record.rig.tells_body()).then(|| {
+            "THE CHART'S SHOT TELLS NO CAMERA: the colours are taken to be those of the body that took the photos, which \
+             nobody checked."
+                .to_owned()
+        });
         let (measured, fit) = (record.measured, record.fit.fit);
         let white = DVec3::from_array(fit.white_dn);
         let basis = Basis::Chart {
@@ -148,7 +154,7 @@ impl SessionColours {
         };
         let white = (white / white.y).to_array();
         let matrix = SessionMatrix { xyz_d50_from_camera: fit.xyz_d50_from_camera, white, basis };
-        Self { matrix: Some(matrix), note: None }
+        Self { matrix: Some(matrix), note }
     }
 
     /// By a chart, else by the maker's matrix.

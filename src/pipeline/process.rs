@@ -5,6 +5,7 @@ mod error;
 pub use error::ProcessError;
 pub(super) use error::io;
 
+use super::calibrate;
 use super::colour::SessionColours;
 use super::cost::Cost;
 use super::develop::{self, DevelopError};
@@ -213,8 +214,9 @@ impl Inputs {
         let pairs: Vec<&PairRecord> = matched.iter().map(|(pair, _)| &**pair).collect();
         let of_pairs = matched.iter().map(|(pair, _)| pair.as_ref());
         let doubt = flash::doubt(&calibrated).into_iter();
+        let unchecked = calibrate::unchecked(session, &pairs).map_err(DevelopError::from)?;
         let mut remarks: Vec<String> =
-            doubt.chain(develop::remarks(session, &calibrated.fit, of_pairs)?).collect();
+            doubt.chain(unchecked).chain(develop::remarks(session, &calibrated.fit, of_pairs)?).collect();
         remarks.extend(flash::scaled_for(&calibrated, pairs.iter().copied(), &scale)?);
         let colours = SessionColours::measured(session, &pairs)?;
         let mut parts: Vec<Vec<u8>> = vec![];

@@ -100,6 +100,10 @@ impl SessionScale {
         };
         for pair in pairs {
             let (on, off) = (&pair.on.settings, &pair.off.settings);
+            let other = |table: &Record<ExposureFit>| !table.rig.lighting.same_polariser(&pair.lighting);
+            if self.good().is_some_and(other) {
+                ratios.other_polariser.push(pair.name.clone());
+            }
             let then = of_calibration(calibration, on);
             // Developing refuses the table of another body where anything differs.
             let table = self.of(on).unwrap_or_default();
@@ -126,6 +130,9 @@ pub struct Ratios {
     pub measured: Vec<String>,
     /// Pairs that were scaled by what at least one label stands for.
     pub by_labels: Vec<String>,
+    /// Pairs that were seen through another polariser than the table's shots.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub other_polariser: Vec<String>,
     /// The session's exposure table; absent if it has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub table: Option<TableOrigin>,
@@ -168,6 +175,14 @@ impl Ratios {
                 format!("calibration/exposure.json of {} ({}){use_of}", table.measured, body.join(", "))
             }
         });
+        if let (false, Some(table)) = (self.other_polariser.is_empty(), &self.table) {
+            parts.push(format!(
+                "ITS SHOTS WERE SEEN THROUGH ANOTHER POLARISER ({}) than {}: a step of a dial is taken to be the same \
+                 through both",
+                table.rig.lighting.polariser_words(),
+                self.other_polariser.join(", ")
+            ));
+        }
         parts.join("; ")
     }
 }
@@ -304,6 +319,16 @@ mod tests {
             (vec!["b".into(), "c".into()], vec!["d".to_string()])
         );
         assert!(ratios.table.unwrap().good);
+        assert_eq!(ratios.other_polariser, [""; 0]);
+        let mut seen = record(true);
+        seen.rig.lighting.polariser = Some(crate::pair::Polariser { angle_degrees: Some(30.0) });
+        let ratios = of(SessionScale { record: Some(seen) });
+        assert_eq!(ratios.other_polariser, ["a", "b", "c", "d"]);
+        assert!(
+            ratios.words().contains("ANOTHER POLARISER (at 30 degrees) than a, b, c, d"),
+            "{}",
+            ratios.words()
+        );
         let ratios = of(SessionScale { record: Some(record(false)) });
         assert_eq!((ratios.measured.len(), ratios.by_labels.len()), (0, 3));
         assert!(!ratios.table.unwrap().good);
@@ -316,8 +341,12 @@ mod tests {
         assert!(none.contains("none was needed") && none.contains("no exposure table"), "{none}");
         let Record { measured, rig, .. } = record(true);
         let table = TableOrigin { measured, rig, good: true };
-        let ratios =
-            Ratios { measured: vec!["0001".into()], by_labels: vec!["0002".into()], table: Some(table) };
+        let ratios = Ratios {
+            measured: vec!["0001".into()],
+            by_labels: vec!["0002".into()],
+            table: Some(table),
+            ..Ratios::default()
+        };
         assert_eq!(
             ratios.words(),
             "by the measured exposure table: 0001; by what labels stand for: 0002; \

@@ -41,7 +41,10 @@ pub use room::Room;
 pub use sequence::{
     Between, MOST_POSITIONS, PositionRecord, SEQUENCE_SCHEMA, SequencePlan, SequenceRecord, Stage, UnderWay,
 };
-pub use shots::{InterruptedShot, SHOT_ABANDONED, SHOT_INTERRUPTED, SHOT_REMOVED, SHOT_STARTED, SHOT_STORED};
+pub use shots::{
+    FRAME_REMOVED, FRAME_STORED, InterruptedShot, SHOT_ABANDONED, SHOT_INTERRUPTED, SHOT_REMOVED,
+    SHOT_STARTED, SHOT_STORED, WAITING,
+};
 pub use verify::{Damage, Finding, Verification};
 
 use crate::pair::{Attempt, Lighting, Plan, Window};

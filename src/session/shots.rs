@@ -3,7 +3,8 @@
 use super::{Entry, Event, Numbering, Recovery, Session, SessionError, store};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Component, Path, PathBuf};
 
 /// What the journal's note of a calibration shot that is about to be taken is called.
 pub const SHOT_STARTED: &str = "calibration_shot_started";
@@ -16,6 +17,16 @@ pub const SHOT_REMOVED: &str = "calibration_shot_removed";
 /// The note of one in whose middle the program ended. Written when the session is opened again.
 pub const SHOT_INTERRUPTED: &str = "calibration_shot_interrupted";
 
+/// The note of a shot that waits for its calibration, once it is whole on the disk.
+pub const FRAME_STORED: &str = "calibration_frame_stored";
+/// The note of one that is about to be removed: on request, or because a record has its copy.
+pub const FRAME_REMOVED: &str = "calibration_frame_removed";
+
+/// Where shots wait for their calibration, from the session's folder: a folder a kind, in it one a shot.
+pub const WAITING: &str = "calibration/waiting";
+
+/// Where shots of the card are, from the session's folder.
+pub(super) const SHOTS: &str = "calibration/flash";
 /// Name of the record beside a calibration shot's frames.
 pub(super) const SHOT_RECORD: &str = "shot.json";
 
@@ -63,6 +74,29 @@ pub(super) fn told(event: &Event) -> Option<(&str, &str)> {
     let known = [SHOT_STARTED, SHOT_STORED, SHOT_ABANDONED, SHOT_REMOVED, SHOT_INTERRUPTED];
     let what = known.into_iter().find(|known| known == what)?;
     Some((detail.get("name")?.as_str()?, what))
+}
+
+/// The folders, from the session's, of all shots that were ever removed; others may have their names since.
+pub(super) fn removed(journal: &[Entry]) -> BTreeSet<PathBuf> {
+    let folder = |entry: &Entry| {
+        let Event::Note { what, detail } = &entry.event else { return None };
+        let (place, name) = match what.as_str() {
+            SHOT_REMOVED => (PathBuf::from(SHOTS), detail.get("name")?.as_str()?.to_owned()),
+            FRAME_REMOVED => {
+                let kind = plain(detail.get("kind")?.as_str()?)?;
+                (Path::new(WAITING).join(kind), format!("{:04}", detail.get("shot")?.as_u64()?))
+            }
+            _ => return None,
+        };
+        Some(place.join(plain(&name)?))
+    };
+    journal.iter().filter_map(folder).collect()
+}
+
+/// A name that leads nowhere else.
+fn plain(name: &str) -> Option<&str> {
+    let mut parts = Path::new(name).components();
+    (matches!(parts.next(), Some(Component::Normal(_))) && parts.next().is_none()).then_some(name)
 }
 
 /// Shots that were begun and of which nothing more was heard: when, by name.

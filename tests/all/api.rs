@@ -126,6 +126,10 @@ impl House {
         answer(agent().post(self.url(path)).send_json(body).unwrap())
     }
 
+    pub(crate) fn put(&self, path: &str, body: &Value) -> (u16, Value) {
+        answer(agent().put(self.url(path)).send_json(body).unwrap())
+    }
+
     pub(crate) fn post_nothing(&self, path: &str) -> (u16, Value) {
         answer(agent().post(self.url(path)).send_empty().unwrap())
     }

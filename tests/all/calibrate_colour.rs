@@ -2,13 +2,18 @@
 
 use crate::raw::sample;
 use crate::samples::shared;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::path::Path;
 use std::process::{Command, Output};
 use unlit::codec::dng::{self, DngContent};
 use unlit::codec::raw;
+use unlit::pair::{Lighting, PairRecord, Polariser};
 use unlit::photometry::Mosaic;
+use unlit::pipeline::calibrate::colour::{self, ChartShot};
+use unlit::pipeline::colour::SessionColours;
+use unlit::progress::Progress;
 use unlit::raster::Image;
+use unlit::session::Session;
 
 fn unlit(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap()
@@ -139,5 +144,37 @@ fn the_rooms_light_is_taken_off_by_a_second_raw_file() {
     let white = |record: &Value| rows(&Value::Array(vec![record["white_dn"].clone(); 3]))[0];
     for (a, b) in white(&taken_off).into_iter().zip(white(&dark)) {
         assert!((a / b - 1.0).abs() < 0.005, "{a} for {b}");
+    }
+}
+
+#[test]
+fn colours_of_another_polariser_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = Session::create(&folder.path().join("s"), "s").unwrap();
+    let through = |angle: f64| Lighting {
+        polariser: Some(Polariser { angle_degrees: Some(angle) }),
+        ..Lighting::default()
+    };
+    session.set_lighting(through(30.0)).unwrap();
+    let on = sample("tinydng_colorchart.dng");
+    let shot = ChartShot { on, off: None, chart: None, corners: None };
+    let record = colour::calibrate(&session, &shot, &Progress::silent()).unwrap();
+    assert_eq!(record.rig.lighting, through(30.0));
+    let pair = |lighting: Lighting| -> PairRecord {
+        let settings = json!({ "model": record.rig.model, "serial": record.rig.serial });
+        let frame =
+            json!({ "file": "f", "original_name": "f", "bytes": 1, "blake3": "00", "settings": settings });
+        let told = json!({
+            "number": 1, "name": "0001", "verdict": "accepted", "reasons": [], "off": frame, "on": frame,
+            "lighting": lighting,
+        });
+        serde_json::from_value(told).unwrap()
+    };
+    let known = |lighting| SessionColours::measured(&session, &[&pair(lighting)]);
+    assert!(known(through(210.0)).unwrap().matrix.is_some());
+    for (other, words) in [(through(120.0), "at 120 degrees"), (Lighting::default(), "none")] {
+        let refused = known(other).unwrap_err().to_string();
+        assert!(refused.contains("colour.json") && refused.contains(words), "{refused}");
+        assert!(refused.contains("at 30 degrees") && refused.contains("polariser of the pairs"), "{refused}");
     }
 }

@@ -240,6 +240,87 @@ fn frames_are_shot_without_flash_and_the_chart_with_it() {
 }
 
 #[test]
+fn what_is_missing_and_what_is_wrong_with_a_shot_is_told() {
+    let house = house();
+    let [flat, levels] = ["flat", "levels"].map(|kind| house.url(&format!("{AT}/{kind}/shots")));
+    assert_eq!(house.calibration("flat")["lacks"], json!(["5 even frames."]));
+    send(
+        &flat,
+        &[],
+        &lit(["calibration/linearity/10_0.dng".into(), "calibration/linearity/13_0.dng".into()]),
+    );
+    let state = house.calibration("flat");
+    let faults: Vec<&Value> = state["shots"].as_array().unwrap().iter().map(|shot| &shot["fault"]).collect();
+    assert!(faults[0].is_null() && faults[1].as_str().unwrap().starts_with("Over-exposed"), "{state}");
+    let take = &state["guide"]["takes"][0];
+    assert_eq!((&take["wanted"], &take["taken"]), (&json!(5), &json!(1)), "{take}");
+    assert_eq!(state["lacks"], json!(["4 more even frames."]));
+    // What is thrown away is no fault any more.
+    assert_eq!(house.remove(&format!("{AT}/flat/shots/2")), 204);
+    assert_eq!(house.calibration("flat")["shots"].as_array().unwrap().len(), 1);
+    send(&levels, &[("role", "dark")], &lit(["calibration/linearity/05_0.dng".into()]));
+    let shot = house.calibration("levels")["shots"][0].clone();
+    assert!(shot["fault"].as_str().unwrap().contains("lens cap"), "{shot}");
+}
+
+#[test]
+fn the_flashs_repeatability_is_shot_in_one_go_and_fitted() {
+    let house = house();
+    let shoot = |order: Value| {
+        let (status, job) = house.post(&format!("{AT}/steadiness/shots"), &order);
+        assert_eq!(status, 202, "{job}");
+        let ended = house.ended(&job);
+        assert_eq!(ended["state"], "done", "{ended}");
+    };
+    shoot(json!({ "count": 3 }));
+    let state = house.calibration("steadiness");
+    assert_eq!(state["shots"].as_array().unwrap().len(), 3, "{state}");
+    assert!(state["shots"].as_array().unwrap().iter().all(|shot| shot["role"] == "lit"), "{state}");
+    assert_eq!(state["guide"]["takes"][0]["wanted"], 40);
+    for n in ["1", "2", "3"] {
+        assert_eq!(house.remove(&format!("{AT}/steadiness/shots/{n}")), 204);
+    }
+    let frames = lit((0..10).map(|i| format!("calibration/repeat/{i:02}.dng")));
+    assert_eq!(send(&house.url(&format!("{AT}/steadiness/shots")), &[], &frames).0, 201);
+    let record = house.fit("steadiness", &json!({}));
+    assert_eq!(record["frames"].as_array().unwrap().len(), 10, "{}", record["verdict"]);
+    assert_eq!(house.get(&format!("{AT}/steadiness")).1, record);
+    assert!(house.session("bath").join("calibration/steadiness.json").is_file());
+}
+
+#[test]
+fn shots_keep_the_polariser_and_the_power_of_their_time() {
+    let house = house();
+    let tell = |lighting: Value| {
+        let (status, problem) = house.put("/api/v1/sessions/bath/lighting", &lighting);
+        assert_eq!(status, 204, "{problem}");
+    };
+    let send_flat = |range: std::ops::Range<usize>| {
+        let frames = lit(range.map(|k| format!("calibration/linearity/{k:02}_0.dng")));
+        assert_eq!(send(&house.url(&format!("{AT}/flat/shots")), &[], &frames).0, 201);
+    };
+    let wrong = house.put("/api/v1/sessions/bath/lighting", &json!({ "flash_power": 3 }));
+    assert_eq!((wrong.0, wrong.1["code"].as_str()), (400, Some("value_invalid")));
+    tell(json!({ "polariser": { "angle_degrees": 30 }, "flash_power": 0.25 }));
+    assert_eq!(house.get("/api/v1/sessions/bath").1["lighting"]["flash_power"], 0.25);
+    send_flat(4..6);
+    tell(json!({}));
+    assert!(house.fit("flat", &json!({}))["rig"]["lighting"]["polariser"]["angle_degrees"] == 30.0);
+    let validity = house.calibration("flat")["measured"]["validity"].clone();
+    assert!(validity["words"].as_str().unwrap().contains("polariser at 30 degrees"), "{validity}");
+    assert_eq!(validity["lighting"]["polariser"]["angle_degrees"], 30.0);
+
+    // Shots with and without it make no series.
+    send_flat(4..5);
+    tell(json!({ "polariser": {} }));
+    send_flat(5..6);
+    let (_, job) = house.post(&format!("{AT}/flat"), &json!({}));
+    let ended = house.ended(&job);
+    let words = ended["problem"]["words"].as_str().unwrap();
+    assert!(words.contains("polariser") && words.contains("none"), "{ended}");
+}
+
+#[test]
 fn what_makes_no_sense_is_refused_with_a_sentence() {
     let house = house();
     for (path, order, status, code) in [
@@ -259,6 +340,12 @@ fn what_makes_no_sense_is_refused_with_a_sentence() {
         ("flat", json!({ "frames": 3 }), 422, "body_invalid"),
         ("noise", json!({ "stops": -1 }), 400, "value_invalid"),
         ("flash", json!({ "target_reflectance": 0.9 }), 400, "value_invalid"),
+        ("flash", json!({ "ring_radii": [0.035, 0.085], "tag_size_m": -1 }), 400, "value_invalid"),
+        ("flash", json!({ "one_shot": "d01000_1" }), 400, "value_invalid"),
+        ("flat", json!({ "lighting": { "flash_power": 0.5 } }), 400, "value_invalid"),
+        ("steadiness/shots", json!({ "count": 0 }), 400, "value_invalid"),
+        ("steadiness/shots", json!({ "count": 1000 }), 400, "value_invalid"),
+        ("steadiness", json!({}), 409, "inputs_missing"),
         ("colour", json!({ "chart": "rainbow" }), 422, "body_invalid"),
         ("colour", json!({}), 409, "inputs_missing"),
     ] {
@@ -268,7 +355,7 @@ fn what_makes_no_sense_is_refused_with_a_sentence() {
     let card = lit(["calibration/white/d0800_0.dng".into()]);
     let text = || vec![("file", format!("{}/Cargo.toml", env!("CARGO_MANIFEST_DIR")))];
     for (kind, texts, files, status, code) in [
-        ("flash", vec![], card.clone(), 400, "value_invalid"),
+        ("flash", vec![("distance_m", "-1")], card.clone(), 400, "value_invalid"),
         ("flash", vec![("distance_m", "near")], card.clone(), 400, "value_invalid"),
         ("flat", vec![("distance_m", "1")], card.clone(), 400, "value_invalid"),
         ("flat", vec![("role", "bright")], card.clone(), 400, "value_invalid"),

@@ -4,6 +4,12 @@ use crate::calibrate_levels::{file, json, session};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
+use unlit::pipeline::calibrate::take::take;
+use unlit::pipeline::calibrate::{flat, levels};
+use unlit::progress::Progress;
+use unlit::session::Session;
 
 fn unlit(arguments: &[&str]) -> (bool, String, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_unlit")).args(arguments).output().unwrap();
@@ -97,4 +103,74 @@ fn what_cannot_be_taken_is_named_and_nothing_is_copied() {
     *bytes.last_mut().unwrap() ^= 1;
     std::fs::write(&path, bytes).unwrap();
     refused(&["--from", &donor], &[&shot, "missing or damaged", "verify"]);
+}
+
+/// Progress that is cancelled at its n-th report.
+fn cancelled_at(n: usize) -> Progress {
+    let own = Arc::new(OnceLock::<Progress>::new());
+    let (heard, count) = (own.clone(), AtomicUsize::new(0));
+    let progress = Progress::new(move |_| {
+        if count.fetch_add(1, Ordering::Relaxed) == n {
+            heard.get().into_iter().for_each(Progress::cancel);
+        }
+    });
+    own.get_or_init(|| progress.clone());
+    progress
+}
+
+/// Cancels at one report after the other until the work is through with all of them; how often it ended as cancelled,
+/// and how often not.
+fn at_every_moment(work: impl Fn(&Progress) -> bool) -> (usize, usize) {
+    let (mut stopped, mut whole) = (0, 0);
+    for n in 0..200 {
+        let progress = cancelled_at(n);
+        match work(&progress) {
+            true => whole += 1,
+            false => stopped += 1,
+        }
+        if !progress.is_cancelled() {
+            return (stopped, whole);
+        }
+    }
+    panic!("there is no end to it");
+}
+
+#[test]
+fn what_is_cancelled_at_any_moment_is_kept_with_figure_and_report_or_not_at_all() {
+    let frames: Vec<PathBuf> = (0..2).map(|i| file(&format!("calibration/dark/{i}.dng")).into()).collect();
+    let is_there = |session: &Session, kind: &str| {
+        let report =
+            std::fs::read_to_string(session.calibration_dir().join("report.html")).unwrap_or_default();
+        let there =
+            [".json", ".svg"].map(|end| session.calibration_dir().join(format!("{kind}{end}")).is_file());
+        assert_eq!(there[0], there[1], "{kind}");
+        assert_eq!(there[0], report.contains(&format!("id=\"{kind}\"")), "{kind}");
+        assert!(session.verify(&Progress::silent()).unwrap().is_whole());
+        there[0]
+    };
+    let (stopped, whole) = at_every_moment(|progress| {
+        let folder = tempfile::tempdir().unwrap();
+        let session = Session::create(&folder.path().join("s"), "s").unwrap();
+        let kept = levels::calibrate(&session, &frames, &[], progress).is_ok();
+        assert_eq!(is_there(&session, "levels"), kept);
+        kept
+    });
+    assert!(stopped >= 3 && whole >= 3, "{stopped} {whole}");
+
+    let home = tempfile::tempdir().unwrap();
+    let donor = home.path().join("donor");
+    {
+        let session = Session::create(&donor, "donor").unwrap();
+        levels::calibrate(&session, &frames, &[], &Progress::silent()).unwrap();
+        flat::calibrate(&session, &[file("calibration/linearity/05_0.dng").into()], &Progress::silent())
+            .unwrap();
+    }
+    let (stopped, whole) = at_every_moment(|progress| {
+        let folder = tempfile::tempdir().unwrap();
+        let session = Session::create(&folder.path().join("s"), "s").unwrap();
+        let kept = take(&session, &donor, &[], progress).is_ok();
+        assert_eq!(["levels", "flat"].map(|kind| is_there(&session, kind)), [kept; 2]);
+        kept
+    });
+    assert!(stopped >= 2 && whole >= 3, "{stopped} {whole}");
 }

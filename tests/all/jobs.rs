@@ -196,9 +196,10 @@ fn every_kind_of_wish_can_be_repeated_from_what_was_written_down() {
     shot_and_left(&sessions, "vase", &Room::default());
     let bureau = bureau(&sessions, &Room::with(Trouble::NoCamera));
     let desk = &bureau.desk;
-    let dark = ShotWish { kind: Kind::Levels, role: Some(Role::Dark), distance_m: None, exposure: None };
+    let dark =
+        ShotWish { kind: Kind::Levels, role: Some(Role::Dark), distance_m: None, exposure: None, count: 1 };
     let failed = [
-        desk.take_card_shot("vase", 1.25).unwrap(),
+        desk.take_card_shot("vase", (1.25, 1)).unwrap(),
         desk.take_calibration_shot("vase", dark).unwrap(),
         desk.find_exposure("vase", Default::default()).unwrap(),
         desk.take_repeatability("vase", 40).unwrap(),

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use unlit::pair::Settings;
 use unlit::progress::Progress;
 use unlit::session::{
-    Between, Event, MirrorPatience, MirrorState, MirrorStatus, More, NewFrame, NewPair, PositionRecord,
-    SHOT_STORED, SequencePlan, SequenceRecord, Session, SessionError, Stage,
+    Between, Event, FRAME_REMOVED, FRAME_STORED, MirrorPatience, MirrorState, MirrorStatus, More, NewFrame,
+    NewPair, PositionRecord, SHOT_STORED, SequencePlan, SequenceRecord, Session, SessionError, Stage,
 };
 
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -403,4 +403,69 @@ fn the_desk_mirrors_every_session_that_is_opened_and_tells_how_it_stands() {
     assert_eq!(stand.len(), 1, "{stand:?}");
     assert_eq!(stand[0].folder, mirrors.join("vase"));
     assert_eq!(desk.summary("vase").unwrap().mirror.unwrap().state, MirrorState::InStep);
+}
+
+/// A shot that waits for its calibration, of which only the bytes matter here.
+fn waits(session: &Session, kind: &str, number: u32, bytes: &[u8]) {
+    let own = session.path().join(format!("calibration/waiting/{kind}/{number:04}"));
+    std::fs::create_dir_all(&own).unwrap();
+    let blake3 = unlit::session::store::digest(bytes);
+    let frame =
+        json!({ "file": "dark.dng", "original_name": "dark.dng", "bytes": bytes.len(), "blake3": blake3 });
+    std::fs::write(own.join("dark.dng"), bytes).unwrap();
+    std::fs::write(own.join("shot.json"), json!({ "number": number, "frame": frame }).to_string()).unwrap();
+    noted(session, FRAME_STORED, kind, number);
+}
+
+fn noted(session: &Session, what: &str, kind: &str, number: u32) {
+    let detail = json!({ "kind": kind, "shot": number });
+    session.record(Event::Note { what: what.into(), detail }).unwrap();
+}
+
+fn no_more(session: &Session, kind: &str, number: u32) {
+    std::fs::remove_dir_all(session.path().join(format!("calibration/waiting/{kind}/{number:04}"))).unwrap();
+    noted(session, FRAME_REMOVED, kind, number);
+}
+
+#[test]
+fn shots_that_wait_for_their_calibration_are_copied_and_go_when_they_wait_no_more() {
+    let place = Place::new();
+    let session = &place.session;
+    let copied = |kind: &str, number: u32| {
+        std::fs::read(place.copy().join(format!("calibration/waiting/{kind}/{number:04}/dark.dng"))).ok()
+    };
+    // A pair of the same number has a record of its own.
+    place.commit(1);
+    waits(session, "levels", 1, b"before");
+    place.start();
+    place.until_in_step();
+    assert_eq!(copied("levels", 1).unwrap(), b"before");
+    waits(session, "levels", 2, b"second");
+    waits(session, "noise", 1, b"other kind");
+    place.until_in_step();
+    assert_eq!(copied("levels", 2).unwrap(), b"second");
+    assert_eq!(copied("noise", 1).unwrap(), b"other kind");
+
+    // Thrown away, and another has its number before and after the mirror has seen that.
+    no_more(session, "levels", 2);
+    place.until_in_step();
+    assert_eq!(copied("levels", 2), None);
+    waits(session, "levels", 2, b"third");
+    no_more(session, "noise", 1);
+    waits(session, "noise", 1, b"again");
+    place.until_in_step();
+    assert_eq!(
+        (copied("levels", 2).unwrap(), copied("noise", 1).unwrap()),
+        (b"third".into(), b"again".into())
+    );
+    assert_eq!(copied("levels", 1).unwrap(), b"before");
+
+    // What nobody removed is not taken away from the copy.
+    let lost = session.path().join("calibration/waiting/levels/0001");
+    std::fs::remove_dir_all(&lost).unwrap();
+    noted(session, FRAME_STORED, "levels", 3);
+    place.until_in_step();
+    assert_eq!(copied("levels", 1).unwrap(), b"before");
+    assert_eq!(place.failures_told(), 0);
+    place.check();
 }

@@ -2,6 +2,7 @@ import { useEffect, useState } from "preact/hooks";
 import { type Calibration as State, calibrations, type Kind } from "./calibration";
 import { Guide } from "./CalibrationGuide";
 import { calibrationWords as words } from "./calibrationWords";
+import { Lighting } from "./Lighting";
 import type { Live } from "./live";
 
 /** All calibrations of the session, each with its guide. */
@@ -29,6 +30,7 @@ export function Calibration({ live }: { live: Live }) {
           {states && <span class="dim">{words.state(measured, states.length)}</span>}
         </summary>
         {session === null && <p class="dim">{words.needsSession}</p>}
+        {live.session && open && <Lighting live={live} session={live.session} />}
         <ul>
           {session !== null &&
             states?.map((state) => (

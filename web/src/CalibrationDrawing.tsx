@@ -5,7 +5,7 @@ import { calibrationWords as words } from "./calibrationWords";
 export function Drawing({ kind }: { kind: Kind }) {
   return (
     <svg class="drawing" viewBox="0 0 240 120" role="img" aria-label={words.drawings[kind]}>
-      {(kind === "noise" || kind === "exposure") && <path d="M52 76 40 112M52 76v36M52 76l12 36" />}
+      {["noise", "exposure", "steadiness"].includes(kind) && <path d="M52 76 40 112M52 76v36M52 76l12 36" />}
       <g transform={kind === "flat" ? "rotate(90 52 58)" : undefined}>
         <rect x="24" y="40" width="48" height="36" rx="5" />
         <rect x="72" y="47" width="20" height="22" rx="3" />
@@ -14,7 +14,7 @@ export function Drawing({ kind }: { kind: Kind }) {
         {kind === "exposure" && <path class="lit" d="M34 26a12 12 0 0 1 22 0m0-7v7h-7" />}
       </g>
       {kind === "flat" && <path class="lit" d="M20 30a42 42 0 0 1 30-20m-8-3 8 3-5 7" />}
-      {(kind === "flash" || kind === "colour") && (
+      {["flash", "steadiness", "colour"].includes(kind) && (
         <>
           <rect class="lit" x="94" y="34" width="7" height="48" rx="3" />
           <path class="light" d="M104 44 190 28M104 58h84M104 72l86 16" />

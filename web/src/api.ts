@@ -156,10 +156,19 @@ export interface Session {
   has_flash_calibration: boolean;
   exposure?: Plan | null;
   region?: Region | null;
+  lighting: Lighting;
   confirmed: string[];
   results: { name: string; url: string }[];
   room?: { free_bytes: number; pairs?: number | null } | null;
   mirror?: Mirror | null;
+}
+
+/** What no file tells of how photographs are lit and seen. */
+export interface Lighting {
+  /** Absent: none. */
+  polariser?: { angle_degrees?: number | null } | null;
+  /** Part of its full power; absent: not told. */
+  flash_power?: number | null;
 }
 
 /** The second copy on another disk. */
@@ -249,6 +258,8 @@ export const api = {
     call<Job>("POST", `/sessions/${at(session)}/find-exposure`, { separate_off: separateOff }),
   setRegion: (session: string, region: Region | null) =>
     call<void>("PUT", `/sessions/${at(session)}/region`, region),
+  setLighting: (session: string, lighting: Lighting) =>
+    call<void>("PUT", `/sessions/${at(session)}/lighting`, lighting),
   confirmSettings: (session: string, names: string[]) =>
     call<{ names: string[] }>("POST", `/sessions/${at(session)}/confirmed`, { names }),
   histogram: (session: string, pair: number, frame: "off" | "on", signal: AbortSignal) =>

@@ -150,6 +150,7 @@ const kinds: Record<string, string> = {
   calibrate_exposure: "Measuring the exposure steps",
   calibrate_flat: "Measuring the vignetting",
   calibrate_flash: "Calibrating the flash",
+  calibrate_steadiness: "Measuring how steady the flash is",
   calibrate_colour: "Measuring the colours",
   import_scene: "Importing the scene",
   develop: "Developing the pair",

@@ -3,13 +3,13 @@
 use super::camera::offered_exposure;
 use super::works::Ask;
 use super::{Desk, DeskError};
-use crate::calibration::guide::{Kind, Role};
+use crate::calibration::guide::{Kind, Role, Seen};
 use crate::capture::card::{self, CalibrationShot, calibration_shots};
 use crate::capture::error::CaptureError;
 use crate::capture::events::Topic;
 use crate::capture::frame::ShotWish;
 use crate::capture::place::{PlaceError, name_of};
-use crate::jobs::{Job, Lane};
+use crate::jobs::{Job, Lane, WorkError};
 use crate::pair::Settings;
 use crate::pipeline::calibrate::guided::{self, FitOrder, Measured};
 use crate::pipeline::calibrate::waiting::{self, Incoming, Origin, WaitingError, WaitingShot};
@@ -18,6 +18,9 @@ use crate::units::{FNumber, Iso, Seconds};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
+/// Shots of one job.
+const MOST_FRAMES: u32 = 100;
+
 /// How one of a session's calibrations stands.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationState {
@@ -25,6 +28,8 @@ pub struct CalibrationState {
     pub kind: Kind,
     /// The shots that the next fit takes.
     pub shots: Vec<SeriesShot>,
+    /// What these shots lack for a fit that is worth its while, in sentences.
+    pub lacks: Vec<String>,
     /// What was measured; `None` if nothing was.
     pub measured: Option<Measured>,
     /// Why what was measured cannot be read.
@@ -60,6 +65,8 @@ pub struct SeriesShot {
     pub clipped_share: Option<f64>,
     /// Why the fit leaves it out, in sentences; empty when all is well.
     pub reasons: Vec<String>,
+    /// What is wrong with its exposure, and what to do; `None` if nothing is, or it is not known.
+    pub fault: Option<&'static str>,
     /// Whether what was measured comes from it.
     pub in_record: bool,
 }
@@ -97,6 +104,7 @@ impl From<&CalibrationShot> for SeriesShot {
             mean_share: None,
             clipped_share: None,
             reasons: shot.reasons.iter().map(|reason| reason.sentence.clone()).collect(),
+            fault: None,
             in_record: false,
         }
     }
@@ -104,7 +112,7 @@ impl From<&CalibrationShot> for SeriesShot {
 
 impl SeriesShot {
     fn waiting(kind: Kind, shot: WaitingShot) -> Self {
-        Self {
+        let mut own = Self {
             id: shot.number.to_string(),
             role: shot.role,
             distance_m: shot.distance_m,
@@ -118,8 +126,22 @@ impl SeriesShot {
             mean_share: Some(shot.mean_share),
             clipped_share: Some(shot.clipped_share),
             reasons: vec![],
+            fault: None,
             in_record: false,
-        }
+        };
+        own.fault = kind.fault(&own.seen());
+        own
+    }
+
+    /// Whether the fit takes it, and its exposure is good.
+    pub fn is_usable(&self) -> bool {
+        self.reasons.is_empty() && self.fault.is_none()
+    }
+
+    fn seen(&self) -> Seen {
+        let Self { role, distance_m, shutter, aperture, iso, mean_share, clipped_share, .. } = *self;
+        let dials = [shutter.map(|t| t.0), aperture.map(|n| n.0), iso.map(|s| s.0)];
+        Seen { role, distance_m, dials, mean_share, clipped_share }
     }
 }
 
@@ -131,6 +153,7 @@ fn job_kind(kind: Kind) -> &'static str {
         Kind::Exposure => "calibrate_exposure",
         Kind::Flat => "calibrate_flat",
         Kind::Flash => "calibrate_flash",
+        Kind::Steadiness => "calibrate_steadiness",
         Kind::Colour => "calibrate_colour",
     }
 }
@@ -153,7 +176,7 @@ impl Desk {
 
     /// Shoots for a calibration: the card with and without flash, or one frame of anything else.
     pub fn take_calibration_shot(&self, session: &str, wish: ShotWish) -> Result<Job, DeskError> {
-        let ShotWish { kind, role, distance_m, exposure } = wish;
+        let ShotWish { kind, role, distance_m, exposure, count } = wish;
         let role = kind.role(role).map_err(DeskError::BadValue)?;
         match (kind, distance_m) {
             (Kind::Flash, Some(_)) if exposure.is_some() => {
@@ -161,9 +184,9 @@ impl Desk {
                     "card shots are taken as the camera stands; turn its dials and leave exposure out".into(),
                 ));
             }
-            (Kind::Flash, Some(distance)) => return self.take_card_shot(session, distance),
+            (Kind::Flash, Some(distance)) => return self.take_card_shot(session, (distance, count)),
             (Kind::Flash, None) | (_, Some(_)) => return Err(misplaced(kind)),
-            _ => {}
+            _ => checked_count(count)?,
         }
         let session = self.session(session)?;
         let exposure = match exposure {
@@ -176,14 +199,20 @@ impl Desk {
         let desk = self.clone();
         let ask = Ask::new("calibration_shot", Lane::Rig).again(json!(wish));
         self.ask(ask, name_of(&session), move |progress| {
-            let shot = desk.0.engine.shoot_frame(&session, (kind, role), exposure, progress)?;
-            Ok(json!({
-                "session": name_of(&session),
-                "kind": kind,
-                "shot": shot.number.to_string(),
-                "mean_share": shot.mean_share,
-                "clipped_share": shot.clipped_share,
-            }))
+            let mut last = Value::Null;
+            for n in 0..count {
+                progress.check().map_err(WorkError::from)?;
+                let shot =
+                    desk.0.engine.shoot_frame(&session, (kind, role), exposure, (n, count), progress)?;
+                last = json!({
+                    "session": name_of(&session),
+                    "kind": kind,
+                    "shot": shot.number.to_string(),
+                    "mean_share": shot.mean_share,
+                    "clipped_share": shot.clipped_share,
+                });
+            }
+            Ok(last)
         })
     }
 
@@ -197,7 +226,8 @@ impl Desk {
         let IncomingFrames { role, distance_m, frames, off, .. } = incoming;
         let role = kind.role(*role).map_err(DeskError::BadValue)?;
         if kind == Kind::Flash {
-            checked_distance(distance_m.ok_or_else(|| misplaced(kind))?)?;
+            // Tags on the card may tell the distance.
+            distance_m.map_or(Ok(()), checked_distance)?;
             if frames.len() > 1 {
                 return Err(DeskError::BadValue(
                     "a card shot is one lit frame (file), and one without flash (off); send the next by itself".into(),
@@ -218,6 +248,7 @@ impl Desk {
                 frame: (&name, &bytes),
                 off: off.as_ref().map(|(name, bytes)| (name.as_str(), bytes.as_slice())),
                 origin: Origin::Upload,
+                energy_counts: None,
             };
             let shot = waiting::add(&session, kind, incoming)?;
             let words = format!("Frame {} for {} ({}) is stored.", shot.number, kind.name(), role.name());
@@ -299,7 +330,9 @@ fn state(session: &Session, kind: Kind) -> Result<CalibrationState, DeskError> {
     for shot in &mut shots {
         shot.in_record = measured.as_ref().is_some_and(|measured| measured.shots.contains(&shot.blake3));
     }
-    Ok(CalibrationState { kind, shots, measured, unreadable })
+    let usable = shots.iter().filter(|shot| shot.is_usable());
+    let lacks = kind.lacks(&usable.map(SeriesShot::seen).collect::<Vec<_>>());
+    Ok(CalibrationState { kind, shots, lacks, measured, unreadable })
 }
 
 /// A distance that is missing, or where none belongs.
@@ -317,6 +350,14 @@ pub(super) fn checked_distance(distance_m: f64) -> Result<(), DeskError> {
         false => Err(DeskError::BadValue(format!(
             "a card {distance_m} m away cannot be: give the distance from the lens to the card in metres"
         ))),
+    }
+}
+
+/// Refuses what nobody waits for.
+pub(super) fn checked_count(count: u32) -> Result<(), DeskError> {
+    match (1..=MOST_FRAMES).contains(&count) {
+        true => Ok(()),
+        false => Err(DeskError::BadValue(format!("count is {count}; a job takes 1 to {MOST_FRAMES} shots"))),
     }
 }
 

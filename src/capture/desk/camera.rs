@@ -9,7 +9,7 @@ use crate::capture::live::LivePicture;
 use crate::capture::place::{PlaceError, name_of};
 use crate::capture::thumbnail::ThumbnailError;
 use crate::pair::order::Slot;
-use crate::pair::{Exposure, Offered, Plan, Window};
+use crate::pair::{Exposure, Lighting, Offered, Plan, Window};
 use crate::photometry::inspect::{self, Inspection};
 use crate::pipeline::levels;
 use crate::rig::CameraInfo;
@@ -62,6 +62,15 @@ impl Desk {
     pub fn set_region(&self, session: &str, region: Option<Window>) -> Result<(), DeskError> {
         let session = self.session(session)?;
         session.set_region(region.map(Window::checked).transpose()?)?;
+        self.tell_session(&session);
+        Ok(())
+    }
+
+    /// Tells the session of the polariser before the lens and the power that the flash is set to.
+    pub fn set_lighting(&self, session: &str, lighting: Lighting) -> Result<(), DeskError> {
+        let lighting = lighting.checked().map_err(DeskError::BadValue)?;
+        let session = self.session(session)?;
+        session.set_lighting(lighting)?;
         self.tell_session(&session);
         Ok(())
     }

@@ -31,9 +31,9 @@ use crate::pair::order::Slot;
 use crate::pair::{FrameRecord, PairRecord};
 use crate::pipeline::calibrate::guided::FitOrder;
 use crate::pipeline::energy::{self, FlashAccount};
+use crate::pipeline::flash::FlashOrder;
 use crate::progress::Progress;
 use crate::session::{Lock, Session, SessionError};
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sessions::Sessions;
 use std::path::{Path, PathBuf};
@@ -42,19 +42,6 @@ use std::time::Duration;
 
 /// What the desk keeps for itself in the folder of the sessions.
 const OWN_FOLDER: &str = ".unlit";
-
-/// What the flash calibration needs to know beside its shots.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FlashOrder {
-    /// Reflectance of the card, 0..1; office paper's without it.
-    pub target_reflectance: Option<f64>,
-    /// Inner and outer radius of the ring lamp, metres.
-    pub ring_radii: [f64; 2],
-    /// Focal length in pixels, where no scene tells it.
-    pub focal_px: Option<f64>,
-    /// Shots that are kept from the fit, to check it.
-    pub held_out: Vec<String>,
-}
 
 /// What the flash calibration is made from.
 #[derive(Clone, Debug, PartialEq)]

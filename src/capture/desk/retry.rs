@@ -27,7 +27,11 @@ impl Desk {
             "repeatability" => again.take_repeatability(session, read(order).ok_or_else(lost)?),
             "calibration_shot" => again.take_calibration_shot(session, read(order).ok_or_else(lost)?),
             "calibrate_flash" => again.calibrate_flash(session, read(order).ok_or_else(lost)?),
-            "calibrate_levels" | "calibrate_noise" | "calibrate_exposure" | "calibrate_flat"
+            "calibrate_levels"
+            | "calibrate_noise"
+            | "calibrate_exposure"
+            | "calibrate_flat"
+            | "calibrate_steadiness"
             | "calibrate_colour" => again.calibrate(session, read(order).ok_or_else(lost)?),
             "process" => again.process(session),
             "verify" => again.verify(session),

@@ -1,7 +1,7 @@
 //! A session in a few words.
 
 use super::{Desk, DeskError};
-use crate::pair::{Plan, Verdict, Window};
+use crate::pair::{Lighting, Plan, Verdict, Window};
 use crate::session::{MirrorStatus, Room};
 
 /// A session in a few words.
@@ -25,6 +25,8 @@ pub struct SessionSummary {
     pub plan: Option<Plan>,
     /// Where the object is; the whole frame if absent.
     pub region: Option<Window>,
+    /// Polariser and flash power, as the operator told them.
+    pub lighting: Lighting,
     /// Settings that the camera does not tell and the operator has confirmed.
     pub confirmed: Vec<String>,
     /// Finished results, paths inside the session.
@@ -62,6 +64,7 @@ impl Desk {
             created: manifest.created,
             plan: manifest.plan,
             region: manifest.region,
+            lighting: manifest.lighting,
             confirmed: manifest.confirmed,
             current,
             pairs: pairs.len(),
@@ -92,6 +95,7 @@ fn unreadable(name: &str, error: &DeskError) -> SessionSummary {
         has_flash_calibration: false,
         plan: None,
         region: None,
+        lighting: Lighting::default(),
         confirmed: Vec::new(),
         results: Vec::new(),
         room: None,

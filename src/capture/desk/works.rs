@@ -1,8 +1,8 @@
 //! What takes time: pairs, card shots, calibration, import, processing. Each wish becomes a job.
 
-use super::calibration::checked_distance;
+use super::calibration::{checked_count, checked_distance};
 use super::error::{DeskError, JobError};
-use super::{Desk, FlashCard, FlashOrder, SceneFiles};
+use super::{Desk, FlashCard, SceneFiles};
 use crate::calibration::FEWEST_SHOTS;
 use crate::calibration::guide::Kind;
 use crate::capture::card::calibration_shots;
@@ -16,6 +16,7 @@ use crate::capture::wish::PairWish;
 use crate::jobs::{Job, Lane, Order, Work, WorkError};
 use crate::pair::{Exposure, PairRecord, Plan, Verdict};
 use crate::pipeline::calibrate::waiting;
+use crate::pipeline::flash::FlashOrder;
 use crate::progress::Progress;
 use crate::session::Session;
 use serde_json::{Value, json};
@@ -110,15 +111,25 @@ impl Desk {
         })
     }
 
-    /// Shoots the calibration card at a distance in metres.
-    pub fn take_card_shot(&self, session: &str, distance_m: f64) -> Result<Job, DeskError> {
+    /// Shoots the calibration card at a distance in metres, so many times.
+    pub fn take_card_shot(&self, session: &str, (distance_m, count): (f64, u32)) -> Result<Job, DeskError> {
         checked_distance(distance_m)?;
+        checked_count(count)?;
         let session = self.session(session)?;
         let desk = self.clone();
-        let ask = Ask::new("flash_shots", Lane::Rig).again(json!(distance_m));
+        let ask = Ask::new("flash_shots", Lane::Rig).again(json!((distance_m, count)));
         self.ask(ask, name_of(&session), move |progress| {
-            let shot = desk.0.engine.shoot_card(&session, distance_m, progress)?;
-            Ok(json!({ "session": name_of(&session), "name": shot.name, "reasons": shot.reasons }))
+            let mut last = Value::Null;
+            for _ in 0..count {
+                progress.check().map_err(WorkError::from)?;
+                let shot = desk.0.engine.shoot_card(&session, distance_m, progress)?;
+                last = json!({ "session": name_of(&session), "name": shot.name, "reasons": shot.reasons });
+                if !shot.reasons.is_empty() {
+                    // The next would be no better.
+                    break;
+                }
+            }
+            Ok(last)
         })
     }
 
@@ -149,22 +160,7 @@ impl Desk {
 
     /// Fits the flash calibration from the session's card shots, then processes if all is there.
     pub fn calibrate_flash(&self, session: &str, order: FlashOrder) -> Result<Job, DeskError> {
-        if let Some(given) = order.target_reflectance.filter(|given| !(*given > 0.0 && *given <= 1.0)) {
-            return Err(DeskError::BadValue(format!(
-                "target_reflectance is {given}, but a card's reflectance lies between 0 and 1"
-            )));
-        }
-        if let Some(focal) = order.focal_px.filter(|focal| !(focal.is_finite() && *focal > 0.0)) {
-            return Err(DeskError::BadValue(format!(
-                "focal_px is {focal}, but a focal length is greater than 0"
-            )));
-        }
-        let [inner, outer] = order.ring_radii;
-        if !(inner >= 0.0 && outer > inner && outer < 1.0) {
-            return Err(DeskError::BadValue(format!(
-                "ring_radii are {inner} and {outer}; give the inner, then the larger outer radius in metres"
-            )));
-        }
+        order.checked().map_err(DeskError::BadValue)?;
         let session = self.session(session)?;
         let shots: Vec<_> =
             calibration_shots(&session)?.into_iter().filter(|s| s.reasons.is_empty()).collect();
@@ -173,9 +169,9 @@ impl Desk {
             shots.iter().any(|shot| shot.name == *id)
                 || sent.iter().any(|shot| shot.number.to_string() == *id)
         };
-        if let Some(stranger) = order.held_out.iter().find(|id| !known(id)) {
+        if let Some(stranger) = order.held_out.iter().chain(&order.one_shot).find(|id| !known(id)) {
             return Err(DeskError::BadValue(format!(
-                "held_out names {stranger:?}, which is none of the card shots that can be used"
+                "{stranger:?} is none of the card shots that can be used; held_out and one_shot take the ids of such"
             )));
         }
         if shots.is_empty() && sent.is_empty() {

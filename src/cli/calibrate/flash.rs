@@ -1,16 +1,12 @@
 //! `unlit calibrate flash`, and `unlit calibrate repeatability` from frames.
 
-use crate::calibration::{FieldFactor, FlashCalibration, Plane, Record, Target, Verdict};
+use crate::calibration::{FlashCalibration, Plane, Record, Verdict};
 use crate::cli::lighting::LightingArgs;
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
-use crate::pipeline::card_tags::TagFacts;
-use crate::pipeline::flash::{CardFacts, CardFiles, calibrate, correct};
+use crate::pipeline::flash::{CardFiles, FlashOrder, calibrate, correct};
 use crate::pipeline::steadiness::{self, SteadyFile};
 use glam::DVec3;
 use std::path::{Path, PathBuf};
-
-/// Reflectance of office paper.
-pub(in crate::cli) const PAPER: f64 = 0.94;
 
 /// Arguments of `unlit calibrate flash`.
 #[derive(clap::Args)]
@@ -91,9 +87,9 @@ fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
 }
 
 fn curve_point(text: &str) -> Result<[f64; 2], String> {
-    let point = text.split_once(':').and_then(|(angle, factor)| {
-        Some([angle.trim().parse::<f64>().ok()?.to_radians(), factor.trim().parse().ok()?])
-    });
+    let point = text
+        .split_once(':')
+        .and_then(|(angle, factor)| Some([angle.trim().parse().ok()?, factor.trim().parse().ok()?]));
     point.ok_or_else(|| format!("{text:?} is not DEGREES:FACTOR, for example 20:0.99"))
 }
 
@@ -137,20 +133,29 @@ fn marked(args: &FlashArgs) -> Result<Vec<CardFiles>, CliError> {
 #[error("--hold-out {} is none of the lit frames in --shots; give it there with its distance too", .0.display())]
 struct NotAShot(PathBuf);
 
+/// An order that cannot be.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct Refused(String);
+
 pub(super) fn flash(args: &FlashArgs) -> CliResult {
     let session = open_session(&args.session)?;
-    let target =
-        Target { reflectance: args.target_reflectance.unwrap_or(PAPER), curve: args.target_curve.clone() };
-    let facts = CardFacts {
-        target,
-        paper: args.target_reflectance.is_none(),
-        vignetting: args.vignetting.map(|coefficients| FieldFactor { coefficients }),
-        ring_radii: args.ring_radii.unwrap_or_default(),
+    let order = FlashOrder {
+        target_reflectance: args.target_reflectance,
+        target_curve: args.target_curve.clone(),
+        ring_radii: args.ring_radii,
+        fit_radii: args.fit_radii,
         focal_px: args.focal_px,
-        tags: args.tag_size.map(|size_m| TagFacts { size_m, outset_m: args.tag_outset }),
-        free_radii: args.fit_radii,
+        tag_size_m: args.tag_size,
+        tag_outset_m: args.tag_outset,
+        vignetting: args.vignetting,
+        // Shots are marked by their files here.
+        held_out: vec![],
+        one_shot: args.one_shot.then(String::new),
         lighting: Some(args.lighting.over(session.manifest().lighting)),
     };
+    order.checked().map_err(|words| CliError::new(Refused(words)))?;
+    let facts = order.facts();
     let shots = marked(args)?;
     let (bar, progress) = progress_bar::watched();
     let record = match args.one_shot {

@@ -6,7 +6,7 @@ use crate::cli::{CliResult, Exit};
 /// Arguments of `unlit calibrate guide`.
 #[derive(clap::Args)]
 pub(in crate::cli) struct GuideArgs {
-    /// Which calibration: levels, noise, exposure, flat, flash or colour; without it all of them, in the order in which
+    /// Which calibration: levels, noise, exposure, flat, flash, repeatability or colour; without it all of them, in the order in which
     /// they are best made.
     kind: Option<Kind>,
 }

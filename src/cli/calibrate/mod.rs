@@ -19,7 +19,6 @@ use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pair::Limits;
 use crate::pipeline::steadiness::SteadyFile;
 use flash::FlashArgs;
-pub(super) use flash::PAPER;
 use std::path::PathBuf;
 
 /// What to calibrate.

@@ -8,7 +8,7 @@ use crate::http::App;
 use crate::http::bodies::DevicesBody;
 use crate::http::camera_bodies::{
     CameraBody, CameraChoice, CameraListBody, ConfirmedBody, ExposureOrder, FindOrder, FrameFiguresBody,
-    PlanBody, WindowBody,
+    LightingBody, PlanBody, WindowBody,
 };
 use crate::http::extract;
 use crate::http::extract::{Path, Wishes};
@@ -227,6 +227,24 @@ pub(super) async fn confirm(
 ) -> Result<Json<ConfirmedBody>, Problem> {
     blocking(move || Ok(Json(ConfirmedBody { names: app.desk.confirm_settings(&session, &names.names)? })))
         .await
+}
+
+/// Tells of the polariser before the lens and of the power that the flash is set to. Pairs and calibration shots keep what
+/// is told when they are taken, and a calibration counts for its own polariser and power.
+#[utoipa::path(put, path = "/api/v1/sessions/{session}/lighting", tag = "capture",
+    params(("session" = String, Path, description = "Name of the session", example = "birdbath")),
+    request_body = LightingBody,
+    responses((status = 204, description = "set")))]
+pub(super) async fn set_lighting(
+    State(app): State<App>,
+    Path(session): Path<String>,
+    extract::Json(lighting): extract::Json<LightingBody>,
+) -> Result<StatusCode, Problem> {
+    blocking(move || {
+        app.desk.set_lighting(&session, lighting.into())?;
+        Ok(StatusCode::NO_CONTENT)
+    })
+    .await
 }
 
 /// Histograms of a stored frame's sensor values, a colour each, with clipped shares, in the session's region.

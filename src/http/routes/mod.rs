@@ -59,6 +59,7 @@ pub(super) fn all() -> OpenApiRouter<App> {
         .routes(routes!(camera::set_exposure))
         .routes(routes!(camera::find_exposure))
         .routes(routes!(camera::set_region))
+        .routes(routes!(camera::set_lighting))
         .routes(routes!(camera::confirm))
         .routes(routes!(camera::histogram))
         .routes(routes!(flash::account))

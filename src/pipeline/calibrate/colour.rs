@@ -9,7 +9,7 @@ use crate::calibration::{OtherRig, Record};
 use crate::codec::png::{PngError, encode_rgb8};
 use crate::export::chart::{Chart, Series as Points};
 use crate::export::colour::{ACESCG, LINEAR_SRGB};
-use crate::pair::Settings;
+use crate::pair::{Lighting, Settings};
 use crate::pipeline::scale::{RatioError, SessionScale};
 use crate::progress::{Cancelled, Progress};
 use crate::session::Session;
@@ -19,6 +19,8 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 pub(in crate::pipeline) const KIND: &str = "colour";
+
+const OF: &str = "the colour calibration";
 
 /// Longest sides in pixels of the pictures in which a chart is sought, one after the other: a large chart is found in
 /// the first, a small one in the last.
@@ -156,9 +158,11 @@ pub fn load(session: &Session) -> Result<Option<Record<SessionColour>>, RecordEr
 }
 
 impl SessionColour {
-    /// Refuses a frame of another body: a matrix is of one sensor and its filters.
-    pub fn fits(record: &Record<Self>, settings: &Settings) -> Result<(), OtherRig> {
-        record.rig.same_body(settings, "the colour calibration")
+    /// Refuses a frame of another body or seen through another polariser: a matrix is of one sensor and all filters
+    /// before it.
+    pub fn fits(record: &Record<Self>, settings: &Settings, lighting: &Lighting) -> Result<(), OtherRig> {
+        record.rig.same_body(settings, OF)?;
+        record.rig.same_polariser(lighting, OF)
     }
 }
 

@@ -10,6 +10,8 @@ use super::{RecordError, colour, exposure, flat, levels, load, noise};
 use crate::calibration::colour::ChartKind;
 use crate::calibration::guide::{Kind, Role};
 use crate::calibration::{Record, Rig, Shot, Verdict};
+use crate::pair::Lighting;
+use crate::pipeline::steadiness::{self, SteadinessError, SteadyFile};
 use crate::progress::Progress;
 use crate::session::Session;
 use crate::units::{FNumber, Iso};
@@ -31,6 +33,8 @@ pub enum FitOrder {
     Exposure,
     /// Vignetting.
     Flat,
+    /// Repeatability of the flash.
+    Steadiness,
     /// Colour.
     Colour {
         /// Which chart it is; without it whichever fits best.
@@ -48,6 +52,7 @@ impl FitOrder {
             FitOrder::Noise { .. } => Kind::Noise,
             FitOrder::Exposure => Kind::Exposure,
             FitOrder::Flat => Kind::Flat,
+            FitOrder::Steadiness => Kind::Steadiness,
             FitOrder::Colour { .. } => Kind::Colour,
         }
     }
@@ -75,6 +80,9 @@ pub enum GuidedError {
     /// Vignetting.
     #[error(transparent)]
     Flat(#[from] FlatError),
+    /// Repeatability of the flash.
+    #[error(transparent)]
+    Steadiness(#[from] SteadinessError),
     /// Colour.
     #[error(transparent)]
     Colour(#[from] ColourCalibrationError),
@@ -98,6 +106,13 @@ pub fn fit(session: &Session, order: &FitOrder, progress: &Progress) -> Result<V
         }
         FitOrder::Exposure => told(exposure::calibrate(session, &of(Role::Step)?, progress)?)?,
         FitOrder::Flat => told(flat::calibrate(session, &of(Role::Even)?, progress)?)?,
+        FitOrder::Steadiness => {
+            let energies = shots.iter().filter(|shot| shot.role == Role::Lit).map(|shot| shot.energy_counts);
+            let frames = of(Role::Lit)?.into_iter().zip(energies);
+            let files: Vec<SteadyFile> =
+                frames.map(|(frame, energy_counts)| SteadyFile { frame, energy_counts }).collect();
+            told(steadiness::calibrate(session, &files, progress)?)?
+        }
         FitOrder::Colour { chart, corners_px } => {
             let (mut on, mut off) = (of(Role::Chart)?, of(Role::Room)?);
             if on.len() != 1 || off.len() > 1 {
@@ -156,8 +171,12 @@ impl Validity {
     pub fn of<T>(kind: Kind, record: &Record<T>) -> Self {
         let used = || record.shots.iter().filter(|shot| shot.left_out.is_none());
         let lens = record.rig.lens.clone().filter(|_| kind.holds_for_lens());
+        let lighting = Lighting {
+            polariser: record.rig.lighting.polariser.filter(|_| kind.holds_for_polariser()),
+            flash_power: record.rig.lighting.flash_power.filter(|_| kind.holds_for_power()),
+        };
         Self {
-            rig: Rig { lens, ..record.rig.clone() },
+            rig: Rig { lens, lighting, ..record.rig.clone() },
             apertures: distinct(used().filter(|_| kind.holds_for_aperture()), |shot| shot.aperture, |n| n.0),
             isos: distinct(used().filter(|_| kind.holds_for_iso()), |shot| shot.iso, |iso| iso.0),
         }
@@ -181,6 +200,9 @@ impl Validity {
         if !self.isos.is_empty() {
             parts.push(joined(self.isos.iter().map(ToString::to_string).collect()));
         }
+        let lighting = &self.rig.lighting;
+        parts.extend(lighting.polariser.map(|polariser| format!("polariser {polariser}")));
+        parts.extend(lighting.flash_power.map(|power| format!("flash power {power}")));
         format!("True of {}.", parts.join("; "))
     }
 }
@@ -231,7 +253,7 @@ pub fn measured(session: &Session, kind: Kind) -> Result<Option<Measured>, Recor
 mod tests {
     use super::*;
     use crate::calibration::SCHEMA;
-    use crate::pair::Settings;
+    use crate::pair::{Polariser, Settings};
 
     #[test]
     fn what_limits_a_calibration_depends_on_its_kind() {
@@ -260,6 +282,16 @@ mod tests {
             verdict: Verdict { good: true, sentences: vec![] },
             fit: (),
         };
+        let seen =
+            Lighting { polariser: Some(Polariser { angle_degrees: Some(30.0) }), flash_power: Some(0.25) };
+        let lit = Record { rig: Rig { lighting: seen, ..record.rig.clone() }, ..record.clone() };
+        let words = |kind| Validity::of(kind, &lit).words();
+        assert_eq!(words(Kind::Levels), "True of Canon EOS 5DS, number 17; ISO 100, ISO 400.");
+        assert_eq!(words(Kind::Colour), "True of Canon EOS 5DS, number 17; polariser at 30 degrees.");
+        assert_eq!(
+            words(Kind::Steadiness),
+            "True of Canon EOS 5DS, number 17; polariser at 30 degrees; flash power 0.25."
+        );
         let words = |kind| Validity::of(kind, &record).words();
         assert_eq!(words(Kind::Levels), "True of Canon EOS 5DS, number 17; ISO 100, ISO 400.");
         assert_eq!(words(Kind::Flat), "True of Canon EOS 5DS, number 17; 50 mm; f/8.");

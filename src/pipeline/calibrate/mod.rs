@@ -19,7 +19,7 @@ use super::levels as sensor_levels;
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
 use crate::codec::raw::{Photo, RawError};
 use crate::export::chart::{self, Chart};
-use crate::pair::{Lighting, Settings};
+use crate::pair::{Lighting, PairRecord, Settings};
 use crate::photometry::NoiseModel;
 use crate::photometry::levels::MeasuredLevels;
 use crate::progress::{Cancelled, Progress};
@@ -121,6 +121,8 @@ pub(super) struct Series<'a> {
     kind: &'static str,
     measured: MeasuredLevels,
     rig: Rig,
+    /// Polariser and power are as somebody said, whatever was noted with the shots.
+    lighting_said: bool,
     shots: Vec<Shot>,
     /// Where each shot was read from.
     paths: Vec<PathBuf>,
@@ -149,6 +151,7 @@ impl<'a> Series<'a> {
             kind,
             measured,
             rig,
+            lighting_said: false,
             shots: vec![],
             paths: vec![],
             settings: vec![],
@@ -158,9 +161,24 @@ impl<'a> Series<'a> {
         })
     }
 
-    /// Says how the shots were lit and seen, where that is not what the session says.
+    /// Says how the shots were lit and seen, where that is not what was noted with them, or what the session says.
     pub(super) fn lit(&mut self, lighting: Lighting) {
         self.rig.lighting = lighting;
+        self.lighting_said = true;
+    }
+
+    /// The polariser and the power that were noted with a shot are those of the first. Sensor levels and noise know neither.
+    fn same_lighting(&mut self, path: &Path) -> Result<(), OtherRig> {
+        let sensor = [sensor_levels::KIND, noise::KIND].contains(&self.kind);
+        let Some(noted) = waiting::lighting_beside(path).filter(|_| !(sensor || self.lighting_said)) else {
+            return Ok(());
+        };
+        if self.shots.is_empty() {
+            self.rig.lighting = noted;
+            return Ok(());
+        }
+        self.rig.same_polariser(&noted, "the first shot")?;
+        self.rig.same_power(&noted, "the first shot")
     }
 
     /// The rig as far as the shots told it.
@@ -176,6 +194,7 @@ impl<'a> Series<'a> {
         let settings = &photo.settings;
         let other = |source| SeriesError::OtherRig { path: path.to_owned(), source };
         self.rig.same_lens(settings, "the first shot").map_err(other)?;
+        self.same_lighting(path).map_err(other)?;
         let blake3 = disk::digest(&bytes);
         if let Some(at) = self.shots.iter().position(|shot| shot.blake3 == blake3) {
             return Err(SeriesError::Twice { path: path.to_owned(), other: self.paths[at].clone() });
@@ -249,7 +268,7 @@ impl<'a> Series<'a> {
     }
 
     /// Copies the shots into the session, keeps the fit and its figure, and writes the report; on the disk when this
-    /// returns.
+    /// returns. It can be cancelled until the record is written, and then comes to its end.
     pub(super) fn keep<T: Serialize>(
         self,
         fit: T,
@@ -268,9 +287,13 @@ impl<'a> Series<'a> {
             remarks,
             pictures,
             mut figures,
+            ..
         } = self;
         verdict.sentences.extend(sensor_levels::remarks(&levels, &settings));
         verdict.sentences.extend(remarks);
+        if !rig.tells_body() {
+            verdict.sentences.push(UNTOLD.into());
+        }
         let count = paths.len();
         for (done, (shot, path)) in shots.iter().zip(&paths).enumerate() {
             progress.check()?;
@@ -289,6 +312,8 @@ impl<'a> Series<'a> {
         let software = concat!("unlit ", env!("CARGO_PKG_VERSION")).to_owned();
         let record = Record { schema: SCHEMA, measured, software, rig, shots, verdict, fit };
         figures.push(("svg", chart::picture(figure).into_bytes()));
+        progress.check()?;
+        let progress = &progress.unstoppable();
         store(session, kind, &record, &figures)?;
         progress.report("copying the shots", count, count);
         for (shot, picture) in record.shots.iter().zip(pictures) {
@@ -347,6 +372,37 @@ fn store<T: Serialize>(
     Ok(session.keep(&path, &bytes)?)
 }
 
+/// What is said of shots that do not tell their camera.
+const UNTOLD: &str = "The shots do not tell which camera took them: nothing can keep this from being used for another body. \
+                      Give raw files as the camera wrote them.";
+
+/// Which calibrations were used for these pairs though nobody knows whether they are of the body that took them, a sentence
+/// each. (Levels and noise that cannot be compared are not used; noise says so itself where it is the pair that does not
+/// tell.)
+pub(super) fn unchecked(session: &Session, pairs: &[&PairRecord]) -> Result<Vec<String>, RecordError> {
+    let mut sentences = vec![];
+    let silent: Vec<&str> =
+        pairs.iter().filter(|pair| pair.on.settings.model.is_none()).map(|pair| pair.name.as_str()).collect();
+    for kind in ["levels", "noise", "exposure", "flash"] {
+        let Some(record) = load::<serde::de::IgnoredAny>(session, kind)? else { continue };
+        let file = format!("calibration/{kind}.json");
+        if !record.rig.tells_body() && kind == sensor_levels::KIND {
+            sentences.push(format!("{file} IS NOT USED: its shots do not tell which camera took them."));
+        } else if !record.rig.tells_body() {
+            sentences.push(format!(
+                "NOBODY CHECKED OF WHICH BODY {file} IS: its shots do not tell which camera took them, and it is taken to \
+                 be the one that took the photos."
+            ));
+        } else if !silent.is_empty() && ["exposure", "flash"].contains(&kind) {
+            sentences.push(format!(
+                "NOBODY CHECKED WHETHER {file} IS OF THE BODY THAT TOOK {}: these photos do not tell their camera.",
+                silent.join(", ")
+            ));
+        }
+    }
+    Ok(sentences)
+}
+
 /// A session's calibration of this kind; `None` if it was not made.
 pub(super) fn load<T: DeserializeOwned>(
     session: &Session,
@@ -378,3 +434,6 @@ pub(super) fn file(session: &Session, kind: &str) -> PathBuf {
 fn io(path: &Path) -> impl FnOnce(std::io::Error) -> SeriesError + '_ {
     move |source| SeriesError::Io { path: path.to_owned(), source }
 }
+
+#[cfg(test)]
+mod tests;

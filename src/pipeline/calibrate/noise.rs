@@ -20,7 +20,7 @@ use crate::units::{Iso, Seconds};
 use std::path::{Path, PathBuf};
 
 /// The calibration's name: `calibration/noise.json`.
-const KIND: &str = "noise";
+pub(super) const KIND: &str = "noise";
 
 /// The frames of a series.
 #[derive(Clone, Copy, Debug)]

@@ -2,6 +2,7 @@
 //! for many objects.
 
 use super::{RecordError, SeriesError, io};
+use crate::calibration::guide::Kind;
 use crate::calibration::{OtherRig, Record};
 use crate::pair::Verdict;
 use crate::progress::{Cancelled, Progress};
@@ -9,15 +10,12 @@ use crate::session::{Session, SessionError, store};
 use serde_json::{Map, Value};
 use std::path::{Path, PathBuf};
 
-/// Every kind of calibration that a session can have.
-pub const KINDS: [&str; 7] = ["levels", "noise", "exposure", "flat", "flash", "steadiness", "colour"];
-
 /// Why calibrations were not taken over.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TakeError {
     /// No calibration of this name exists.
-    #[error("{0:?} is no calibration; there are {all}", all = KINDS.join(", "))]
+    #[error("{0:?} is no calibration; there are {all}", all = Kind::ALL.map(Kind::name).join(", "))]
     Unknown(String),
     /// The other session lacks it.
     #[error("{} has no calibration of {kind}; it has {has}", from.display())]
@@ -81,8 +79,8 @@ pub struct Taken {
 
 /// Copies these calibrations of the session `from`, which is only read, all that it has if none is named, into `session`:
 /// record, figures and shots, each shot compared with its BLAKE3. Date, rig and figures stay those of the measurement.
-/// What the session had before is kept beside, as after a new measurement, and the report is written anew. Nothing is
-/// copied if one of them cannot be.
+/// What the session had before is kept beside, as after a new measurement, and the report is written anew. None is
+/// taken if one of them cannot be, or if it is cancelled.
 pub fn take(
     session: &Session,
     from: &Path,
@@ -93,7 +91,7 @@ pub fn take(
         return Err(TakeError::Itself(from.to_owned()));
     }
     let from = &Session::open_shared(from)?;
-    let records = chosen(from, kinds)?;
+    let mut records = chosen(from, kinds)?;
     let first = session.pairs()?.into_iter().find(|pair| pair.verdict == Verdict::Accepted);
     for (kind, record) in &records {
         if let Some(pair) = &first {
@@ -108,8 +106,7 @@ pub fn take(
     }
     let count: usize = records.iter().map(|(_, record)| record.shots.len()).sum();
     let mut done = 0;
-    let mut taken = vec![];
-    for (kind, mut record) in records {
+    for (kind, record) in &mut records {
         for shot in &mut record.shots {
             progress.check()?;
             progress.report("copying the shots", done, count);
@@ -122,6 +119,11 @@ pub fn take(
                 session.keep(&copy, &bytes)?;
             }
         }
+    }
+    progress.check()?;
+    let progress = &progress.unstoppable();
+    let mut taken = vec![];
+    for (kind, record) in records {
         let mut figures = vec![];
         for ending in ["svg", "png"] {
             let path = from.calibration_dir().join(format!("{kind}.{ending}"));
@@ -142,7 +144,7 @@ type AnyRecord = Record<Map<String, Value>>;
 /// The records of these kinds, of all that are there if none is named.
 fn chosen(from: &Session, kinds: &[String]) -> Result<Vec<(&'static str, AnyRecord)>, TakeError> {
     let mut there = vec![];
-    for kind in KINDS {
+    for kind in Kind::ALL.map(Kind::name) {
         if let Some(record) = super::load::<Map<String, Value>>(from, kind)? {
             there.push((kind, record));
         }
@@ -152,7 +154,7 @@ fn chosen(from: &Session, kinds: &[String]) -> Result<Vec<(&'static str, AnyReco
         false => there.iter().map(|(kind, _)| *kind).collect::<Vec<_>>().join(", "),
     };
     for kind in kinds {
-        if !KINDS.contains(&kind.as_str()) {
+        if !Kind::ALL.iter().any(|known| known.name() == kind) {
             return Err(TakeError::Unknown(kind.clone()));
         }
     }

@@ -8,19 +8,18 @@
 use super::RecordError;
 use crate::calibration::guide::{Kind, Role};
 use crate::codec::raw::{Photo, RawError};
-use crate::pair::Settings;
+use crate::pair::{Lighting, Settings};
 use crate::photometry::Mosaic;
 use crate::photometry::levels::MeasuredLevels;
 use crate::pipeline::levels as sensor_levels;
-use crate::session::{self, Event, Session, SessionError, advice, store, utc_now};
+use crate::session::{
+    self, Event, FRAME_REMOVED, FRAME_STORED, Session, SessionError, WAITING, advice, store, utc_now,
+};
 use crate::units::{FNumber, Iso, Seconds};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-
-/// Where shots wait, from the session's folder.
-pub(super) const FOLDER: &str = "calibration/waiting";
 
 /// Name of the record beside a shot's files.
 const RECORD: &str = "shot.json";
@@ -134,6 +133,12 @@ pub struct WaitingShot {
     /// Sensitivity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iso: Option<Iso>,
+    /// Energy of its pulse in counts, of a frame lit by a flash whose controller measured it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub energy_counts: Option<f64>,
+    /// Polariser and flash power of the session when it was stored.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lighting: Option<Lighting>,
     /// Mean of the brightest colour, 0 at black and 1 at saturation.
     pub mean_share: f64,
     /// Share of the sites that clip, of the colour that does most.
@@ -153,6 +158,8 @@ pub struct Incoming<'a> {
     pub off: Option<(&'a str, &'a [u8])>,
     /// Where it comes from.
     pub origin: Origin,
+    /// Energy of its pulse in counts, if a controller measured it.
+    pub energy_counts: Option<f64>,
 }
 
 impl WaitingShot {
@@ -167,7 +174,7 @@ impl WaitingShot {
     }
 
     fn place(&self, kind: Kind, file: &WaitingFile) -> String {
-        format!("{FOLDER}/{}/{:04}/{}", kind.name(), self.number, file.file)
+        format!("{WAITING}/{}/{:04}/{}", kind.name(), self.number, file.file)
     }
 }
 
@@ -211,6 +218,8 @@ pub fn add(session: &Session, kind: Kind, shot: Incoming<'_>) -> Result<WaitingS
         shutter,
         aperture,
         iso,
+        energy_counts: shot.energy_counts,
+        lighting: Some(session.manifest().lighting),
         mean_share: mean_share(&mosaic),
         clipped_share: mosaic.clipped_shares().into_iter().fold(0.0, f64::max),
     };
@@ -236,7 +245,7 @@ pub fn add(session: &Session, kind: Kind, shot: Incoming<'_>) -> Result<WaitingS
                 let _old_name = aside.keep();
                 readable(&own)?;
                 store::sync_folder(&folder).map_err(io(&folder))?;
-                note(session, "calibration_frame_stored", kind, kept.number, &kept.frame.blake3)?;
+                note(session, FRAME_STORED, kind, kept.number, &kept.frame.blake3)?;
                 return Ok(kept);
             }
             // Somebody was faster.
@@ -283,12 +292,13 @@ pub fn remove(session: &Session, kind: Kind, number: u32) -> Result<(), WaitingE
     let Some(shot) = read(&own, number)? else {
         return Err(WaitingError::None { kind: kind.name(), shot: number.to_string() });
     };
-    note(session, "calibration_frame_removed", kind, number, &shot.frame.blake3)?;
     let aside =
         tempfile::Builder::new().prefix(store::TEMPORARY_PREFIX).tempdir_in(&folder).map_err(io(&folder))?;
     std::fs::rename(&own, aside.path().join("shot")).map_err(io(&own))?;
     store::sync_folder(&folder).map_err(io(&folder))?;
-    aside.close().map_err(io(&folder))
+    aside.close().map_err(io(&folder))?;
+    // Whoever hears of it, as the mirror does, finds it gone.
+    note(session, FRAME_REMOVED, kind, number, &shot.frame.blake3)
 }
 
 /// The paths of shots' frames, each as it was stored.
@@ -324,9 +334,19 @@ fn checked(
     }
 }
 
+/// Polariser and flash power that the record of a shot beside its frame tells.
+pub(super) fn lighting_beside(frame: &Path) -> Option<Lighting> {
+    #[derive(Deserialize)]
+    struct Told {
+        lighting: Option<Lighting>,
+    }
+    let bytes = std::fs::read(frame.with_file_name(RECORD)).ok()?;
+    serde_json::from_slice::<Told>(&bytes).ok()?.lighting
+}
+
 /// Whether a path from the session's folder is that of a shot that waits.
 pub(super) fn is_waiting(inside: &Path) -> bool {
-    inside.starts_with(FOLDER)
+    inside.starts_with(WAITING)
 }
 
 /// The name that a file had, if that is plain; else one for its role.
@@ -378,7 +398,7 @@ fn note(session: &Session, what: &str, kind: Kind, number: u32, blake3: &str) ->
 }
 
 fn folder(session: &Session, kind: Kind) -> PathBuf {
-    session.path().join(FOLDER).join(kind.name())
+    session.path().join(WAITING).join(kind.name())
 }
 
 fn io(path: &Path) -> impl FnOnce(std::io::Error) -> WaitingError + '_ {

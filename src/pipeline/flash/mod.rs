@@ -3,11 +3,13 @@
 
 mod correct;
 mod error;
+mod order;
 mod validity;
 mod vignetting;
 
 pub use correct::correct;
 pub use error::FlashError;
+pub use order::FlashOrder;
 pub(super) use validity::{doubt, scaled_for};
 
 use super::calibrate::{self, Series};
@@ -311,7 +313,9 @@ pub(super) fn label(path: &Path) -> String {
 /// What is read of the record that capture keeps beside a card shot's frames.
 #[derive(serde::Deserialize)]
 struct ShotRecord {
-    on: FrameRecord,
+    /// Absent of shots that wait, which nobody measured.
+    #[serde(default)]
+    on: Option<FrameRecord>,
     #[serde(default)]
     flash: Option<FlashRecord>,
 }
@@ -337,8 +341,9 @@ pub(super) fn energy_beside(frame: &Path) -> Result<Option<f64>, FlashError> {
             return Ok(None);
         }
     };
-    let same = frame.file_name().is_some_and(|name| name == record.on.file.as_str())
-        && store::digest_file(frame).map_err(io(frame))? == record.on.blake3;
+    let Some(on) = record.on else { return Ok(None) };
+    let same = frame.file_name().is_some_and(|name| name == on.file.as_str())
+        && store::digest_file(frame).map_err(io(frame))? == on.blake3;
     Ok(record.flash.as_ref().filter(|_| same).and_then(FlashRecord::energy_counts))
 }
 

@@ -51,8 +51,12 @@ pub(super) fn of(
     } else {
         ""
     };
+    let unchecked = match record.rig.tells_body() {
+        true => "",
+        false => " NOBODY CHECKED OF WHICH BODY AND LENS IT IS: its frames do not tell.",
+    };
     let sentence = format!(
-        "The vignetting is that of the session's flat field of {}; how well that is known is in the lobe's interval.{by_colour}",
+        "The vignetting is that of the session's flat field of {}; how well that is known is in the lobe's interval.{by_colour}{unchecked}",
         record.measured
     );
     Ok(Known {

@@ -7,13 +7,14 @@ use crate::pair::Attempt;
 use crate::session::journal::records;
 use crate::session::kept::{Kept, kept};
 use crate::session::lock::{Access, Lock};
-use crate::session::{JOURNAL, LOCK, MANIFEST, Manifest, PAIR_RECORD, SEQUENCE, SessionError, shots, store};
+use crate::session::shots::{self, SHOT_RECORD, WAITING};
+use crate::session::{JOURNAL, LOCK, MANIFEST, Manifest, PAIR_RECORD, SEQUENCE, SessionError, store};
 use std::collections::{BTreeSet, HashSet};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-/// Folders whose own folders each hold one record and its originals, and never change.
-const UNITS: [(&str, &str); 2] = [("pairs", PAIR_RECORD), ("calibration/flash", shots::SHOT_RECORD)];
+/// Folders whose own folders each hold one record and its originals, and never change; so do those in [`WAITING`].
+const UNITS: [(&str, &str); 2] = [("pairs", PAIR_RECORD), (shots::SHOTS, SHOT_RECORD)];
 /// Folders of single originals, named by their digests.
 const ORIGINALS: [&str; 8] = [
     "calibration/flash",
@@ -177,8 +178,15 @@ impl Copyist {
         let sequence = self.session.join(SEQUENCE);
         let sequence = bytes_of(&sequence).map_err(source(&sequence))?;
         let journal = entries(&lines);
-        let (files, records) = (kept(&journal), records(&journal));
+        let (files, records, removed) = (kept(&journal), records(&journal), shots::removed(&journal));
         self.copy_manifest()?;
+        for path in &removed {
+            // Another may have its name since.
+            self.there.remove(path);
+            if is_gone(&self.session.join(path))? {
+                self.remove(path)?;
+            }
+        }
         let missing = self.missing(answered)?;
         let (mut left, mut unfit) = (missing.len() + 1, vec![]);
         for one in missing {
@@ -189,8 +197,14 @@ impl Copyist {
             let (path, done) = match one {
                 Missing::Unit(path, record) => {
                     let name = path.file_name().unwrap_or_default().to_string_lossy();
-                    let stored = Attempt::from_folder(&name).and_then(|attempt| records.get(&attempt));
-                    let done = self.copy_unit(&path, (record, stored), &go_on);
+                    let pair = Attempt::from_folder(&name).filter(|_| record == PAIR_RECORD);
+                    let stored = pair.and_then(|attempt| records.get(&attempt));
+                    let done = self.copy_unit(&path, (record, stored), removed.contains(&path), &go_on);
+                    // A shot may be thrown away, or become a record's, at any time.
+                    if done.is_err() && record == SHOT_RECORD && is_gone(&self.session.join(&path))? {
+                        left -= 1;
+                        continue;
+                    }
                     (path, done)
                 }
                 Missing::Original(path) => {
@@ -222,8 +236,11 @@ impl Copyist {
     /// What is not known to be there.
     fn missing(&self, answered: &dyn Fn(usize) -> bool) -> Result<Vec<Missing>, CopyError> {
         let mut missing = vec![];
-        for (folder, record) in UNITS {
-            for (path, is_folder) in self.entries(Path::new(folder))? {
+        let mut units = UNITS.map(|(folder, record)| (PathBuf::from(folder), record)).to_vec();
+        let kinds = self.entries(Path::new(WAITING))?.into_iter().filter(|(_, is_folder)| *is_folder);
+        units.extend(kinds.map(|(folder, _)| (folder, SHOT_RECORD)));
+        for (folder, record) in units {
+            for (path, is_folder) in self.entries(&folder)? {
                 if is_folder && !self.there.contains(&path) {
                     missing.push(Missing::Unit(path, record));
                 }
@@ -271,11 +288,25 @@ impl Copyist {
         if bytes_of(&to).map_err(mirror(&to))?.as_ref() != Some(&bytes) { write(&to, &bytes) } else { Ok(()) }
     }
 
-    /// A folder with its record: all at once where there is none, else what it lacks.
+    /// Takes away a shot that the session's own journal says was removed.
+    fn remove(&self, path: &Path) -> Result<(), CopyError> {
+        let own = self.folder.join(path);
+        if !is_there(&own)? {
+            return Ok(());
+        }
+        let parent = own.parent().unwrap_or(&self.folder);
+        let aside = store::temporary_path(parent);
+        let moved = std::fs::rename(&own, &aside).and_then(|()| store::sync_folder(parent));
+        moved.and_then(|()| std::fs::remove_dir_all(&aside)).map_err(mirror(&own))
+    }
+
+    /// A folder with its record: all at once where there is none, or that of a shot that was removed, else what it
+    /// lacks.
     fn copy_unit(
         &self,
         path: &Path,
         (record, stored): (&str, Option<&String>),
+        replaced: bool,
         go_on: &dyn Fn() -> bool,
     ) -> Result<(), Unfit> {
         let (from, to) = (self.session.join(path), self.folder.join(path));
@@ -296,8 +327,13 @@ impl Copyist {
                 original => original.map(|(_, digest)| digest.as_str()),
             }
         };
-        if !to.try_exists().map_err(mirror(&to))? {
+        let theirs = to.join(record);
+        if replaced && bytes_of(&theirs).map_err(mirror(&theirs))?.is_some_and(|theirs| theirs != bytes) {
+            self.remove(path)?;
+        }
+        if !is_there(&to)? {
             let parent = to.parent().unwrap_or(&self.folder);
+            std::fs::create_dir_all(parent).map_err(mirror(parent))?;
             let aside = store::temporary_path(parent);
             std::fs::create_dir(&aside).map_err(mirror(&aside))?;
             let filled = names.iter().try_for_each(|file| {
@@ -386,4 +422,14 @@ impl Copyist {
             _ => Ok(write(&to, lines)?),
         }
     }
+}
+
+/// Whether the copy has this.
+fn is_there(path: &Path) -> Result<bool, CopyError> {
+    path.try_exists().map_err(mirror(path))
+}
+
+/// Whether the session has this no more.
+fn is_gone(path: &Path) -> Result<bool, CopyError> {
+    path.try_exists().map(|there| !there).map_err(source(path))
 }
