@@ -35,7 +35,7 @@ mod tests {
         for (freedom, point) in known.into_iter().chain([(1.0, one), (2.0, two), (1e15, Z95)]) {
             assert!((t_975(freedom) / point - 1.0).abs() < 1e-6, "{freedom}: {}", t_975(freedom));
         }
-        assert!((t_975(MANY) / t_975(1.000_001 * MANY) - 1.0).abs() < 1e-8);
+        assert!((t_975(MANY) / t_975(1.000_001 * MANY) - 1.0).abs() < 1e-7);
         assert_eq!(t_975(0.0), f64::INFINITY);
         for (freedom, points) in [(2.0, [0.050_635_6, 7.377_759]), (39.0, [23.654_325, 58.120_060])] {
             let found = chi_square_95(freedom);
