@@ -147,7 +147,7 @@ fn a_model_carries_a_certificate_and_the_colours_of_its_own_chart() {
     let name = session.to_str().unwrap();
     let list = folder.path().join("patches.json");
     let mut patches = patches_of_the_texture();
-    ["006", "012", "018"].map(|view| patches.extend(patches_of_a_view(view, true, 4)));
+    ["006", "012", "018"].into_iter().for_each(|view| patches.extend(patches_of_a_view(view, true, 4)));
     patches.extend(patches_of_a_view("006", false, 4));
     let somewhere =
         |name: &str, place: Value| json!({ "name": name, "known": { "grey": 0.5 }, "place": place });
