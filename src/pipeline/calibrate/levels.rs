@@ -55,7 +55,7 @@ pub fn calibrate(
     }
     let mut series = Series::new(session, KIND)?;
     let mut isos: Vec<IsoFrames> = vec![];
-    for (done, (iso, path, is_dark)) in in_order(dark, blown)?.into_iter().enumerate() {
+    for (done, Given { iso, path, is_dark }) in in_order(dark, blown)?.into_iter().enumerate() {
         progress.check().map_err(SeriesError::from)?;
         progress.report("measuring levels", done, total);
         if let Some(iso) = iso {
@@ -120,19 +120,24 @@ impl IsoFrames {
     }
 }
 
-/// The frames by ISO as far as files tell it without being decoded, so that those of one ISO alone are held at a time; the
-/// dark ones of each first.
-fn in_order<'a>(
-    dark: &'a [PathBuf],
-    blown: &'a [PathBuf],
-) -> Result<Vec<(Option<Iso>, &'a PathBuf, bool)>, SeriesError> {
+/// A frame that is not read yet.
+struct Given<'a> {
+    /// Its ISO as far as the file tells it without being decoded.
+    iso: Option<Iso>,
+    path: &'a PathBuf,
+    is_dark: bool,
+}
+
+/// The frames by ISO, so that those of one alone are held at a time; the dark ones of each first.
+fn in_order<'a>(dark: &'a [PathBuf], blown: &'a [PathBuf]) -> Result<Vec<Given<'a>>, SeriesError> {
     let all = dark.iter().map(|path| (path, true)).chain(blown.iter().map(|path| (path, false)));
-    let told = |(path, is_dark): (&'a PathBuf, bool)| {
-        Ok((exif::settings(&std::fs::read(path).map_err(io(path))?).iso, path, is_dark))
+    let given = |(path, is_dark): (&'a PathBuf, bool)| {
+        let iso = exif::settings(&std::fs::read(path).map_err(io(path))?).iso;
+        Ok(Given { iso, path, is_dark })
     };
-    let mut all = all.map(told).collect::<Result<Vec<_>, SeriesError>>()?;
-    let key = |iso: Option<Iso>| iso.map_or(f64::INFINITY, |iso| iso.0);
-    all.sort_by(|a, b| key(a.0).total_cmp(&key(b.0)));
+    let mut all = all.map(given).collect::<Result<Vec<_>, SeriesError>>()?;
+    let key = |given: &Given| given.iso.map_or(f64::INFINITY, |iso| iso.0);
+    all.sort_by(|a, b| key(a).total_cmp(&key(b)));
     Ok(all)
 }
 
