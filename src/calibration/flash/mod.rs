@@ -229,5 +229,7 @@ pub struct FlashFacts<'a> {
 }
 
 #[cfg(test)]
+mod misfit_tests;
+#[cfg(test)]
 #[path = "tests.rs"]
 mod tests;
