@@ -73,8 +73,8 @@ fn human(fit: &ExposureFit) -> String {
         for ladder in fit.ladders.iter().filter(|l| l.setting == setting) {
             text += &row(format!("{}, from step 00", setting.name()), &ladder.summary);
             text += &row("  step from step".into(), &ladder.between_steps);
+            text += &row(format!("  {} in the thesis", setting.name()), thesis);
         }
-        text += &row(format!("  {} in the thesis", setting.name()), thesis);
     }
     text += "mean with its sign, max and min of the magnitudes; step 00 itself is not counted\n";
     text

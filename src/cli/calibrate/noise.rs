@@ -1,7 +1,8 @@
 //! `unlit calibrate noise`.
 
 use super::{print_json, print_verdict};
-use crate::calibration::noise::IsoNoise;
+use crate::calibration::noise::{IsoNoise, Linearity};
+use crate::calibration::statistics::Z95;
 use crate::cli::{CliError, CliResult, Exit, open_session, progress_bar};
 use crate::pipeline::calibrate::noise::{NoiseFrames, calibrate};
 use std::path::PathBuf;
@@ -63,16 +64,25 @@ fn print(noise: &IsoNoise) {
         println!("  {:<8}{gain:>18}{well:>16}", colour.colour);
     }
     if let Some(linearity) = &noise.linearity {
-        println!("  {:>10}{:>10}{:>12}{:>14}{:>14}", "light", "colour", "signal, DN", "deviation", "95 %");
-        for step in &linearity.steps {
-            println!(
-                "  {:>10.3}{:>10}{:>12.1}{:>12.3} %{:>12.3} %",
-                step.light,
-                step.colour,
-                step.signal_dn,
-                100.0 * step.deviation,
-                196.0 * step.deviation_standard_error
-            );
-        }
+        print_linearity(linearity);
     }
+}
+
+/// A row a light, each colour's deviation from its line beside the others'.
+fn print_linearity(linearity: &Linearity) {
+    let mut lights: Vec<f64> = linearity.steps.iter().map(|step| step.light).collect();
+    lights.sort_by(f64::total_cmp);
+    lights.dedup();
+    println!("  {:>12}{:>22}{:>22}{:>22}", "light", "red", "green", "blue");
+    for light in lights {
+        let of = |colour: &str| {
+            let step = linearity.steps.iter().find(|step| step.light == light && step.colour == colour);
+            step.map_or("-".to_owned(), |step| {
+                let (off, error) = (100.0 * step.deviation, 100.0 * Z95 * step.deviation_standard_error);
+                format!("{off:+.3} % \u{b1}{error:.3} %")
+            })
+        };
+        println!("  {light:>12.3}{:>22}{:>22}{:>22}", of("red"), of("green"), of("blue"));
+    }
+    println!("  deviations from the line through black, with 95 %");
 }
