@@ -8,6 +8,7 @@
 
 mod bodies;
 mod calibration_bodies;
+mod calibration_orders;
 mod camera_bodies;
 mod caught;
 mod document;

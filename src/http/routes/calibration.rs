@@ -4,10 +4,8 @@ use super::blocking;
 use super::jobs::{accepted, ordered};
 use crate::calibration::guide::Kind;
 use crate::http::App;
-use crate::http::calibration_bodies::{
-    CalibrationBody, CalibrationKind, CalibrationOrder, CalibrationShotBody, CalibrationShotForm,
-    CalibrationShotOrder, Fit,
-};
+use crate::http::calibration_bodies::{CalibrationBody, CalibrationKind, CalibrationShotBody};
+use crate::http::calibration_orders::{CalibrationOrder, CalibrationShotForm, CalibrationShotOrder, Fit};
 use crate::http::extract::{Either, Path, Wishes};
 use crate::http::idempotency::Key;
 use crate::http::job_bodies::JobBody;

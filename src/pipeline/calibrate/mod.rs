@@ -6,6 +6,7 @@
 //! `calibration/report.html` is written anew ([`report`]).
 
 pub mod colour;
+mod error;
 pub mod exposure;
 pub mod flat;
 pub mod guided;
@@ -15,105 +16,21 @@ pub mod report;
 pub mod take;
 pub mod waiting;
 
+pub use error::{RecordError, SeriesError};
+
 use super::levels as sensor_levels;
 use crate::calibration::{OtherRig, Record, Rig, SCHEMA, Shot, Verdict};
-use crate::codec::raw::{Photo, RawError};
+use crate::codec::raw::Photo;
 use crate::export::chart::{self, Chart};
 use crate::pair::{Lighting, PairRecord, Settings};
 use crate::photometry::NoiseModel;
 use crate::photometry::levels::MeasuredLevels;
-use crate::progress::{Cancelled, Progress};
-use crate::session::{Session, SessionError, advice, store as disk, utc_now};
+use crate::progress::Progress;
+use crate::session::{Session, store as disk, utc_now};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-
-/// Why a calibration's shots could not be read, or the calibration not be kept or read again.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum SeriesError {
-    /// The disk refused.
-    #[error("{}: {source}; {}", path.display(), advice(source))]
-    Io {
-        /// File or folder.
-        path: PathBuf,
-        /// The system's own word.
-        source: std::io::Error,
-    },
-    /// A shot cannot be decoded.
-    #[error(transparent)]
-    Raw(#[from] RawError),
-    /// A shot of another rig.
-    #[error("{} is not of the same rig as the others: {source}; calibrate each rig by itself", path.display())]
-    OtherRig {
-        /// The shot.
-        path: PathBuf,
-        /// What differs.
-        source: OtherRig,
-    },
-    /// A shot was given twice.
-    #[error("{} and {} are the same photograph; give each once", path.display(), other.display())]
-    Twice {
-        /// The shot.
-        path: PathBuf,
-        /// The one given before.
-        other: PathBuf,
-    },
-    /// A shot changed while it was used.
-    #[error("{} changed while it was read; try again when nothing writes it any more", .0.display())]
-    Changed(PathBuf),
-    /// A calibration's record cannot be read or written.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The session refused.
-    #[error(transparent)]
-    Session(#[from] SessionError),
-    /// Stopped on request.
-    #[error(transparent)]
-    Cancelled(#[from] Cancelled),
-}
-
-/// Why a calibration that was made could not be read.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RecordError {
-    /// The disk refused.
-    #[error("{}: {source}; {}", path.display(), advice(source))]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The system's own word.
-        source: std::io::Error,
-    },
-    /// A calibration's file is broken.
-    #[error("{} is damaged ({reason}); calibrate again", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A calibration of another rig than the photographs.
-    #[error("{} is not of the camera that took the photos: {source}; calibrate again with that camera, or begin another session for it", path.display())]
-    OtherRig {
-        /// The file.
-        path: PathBuf,
-        /// What differs.
-        source: OtherRig,
-    },
-    /// A calibration of an earlier program.
-    #[error("{} was written by an earlier version of unlit, in a form that is not read any more; calibrate again (the file is kept)", .0.display())]
-    Older(PathBuf),
-    /// A calibration of a later program.
-    #[error("{} was written by a later version of unlit (form {found}, this program knows {SCHEMA}); update unlit", path.display())]
-    TooNew {
-        /// The file.
-        path: PathBuf,
-        /// Its form.
-        found: u32,
-    },
-}
 
 /// A series of shots as they are read.
 pub(super) struct Series<'a> {
