@@ -7,17 +7,21 @@
 
 use std::ops::Range;
 
+/// Steps between values up to which they are whole DN.
+pub(super) const WHOLE_STEP: f64 = 1.02;
+
 /// Sites that lie further from the median than this many standard deviations do not count.
 const OUTLIER: f64 = 5.0;
 
-/// Share of values up to which the lowest ones are strays: dead sites read 0 DN on any body.
+/// Share of values up to which the lowest ones are strays: dead sites read 0 DN on any body. Neighbours of which one occurs
+/// so much more rarely than the other tell no step.
 const STRAY: f64 = 1e-3;
 /// Standard deviations from black to 0 DN within which more than 0.5 % of the sites would lie below 0 DN.
 const NEAR: f64 = 2.575_8;
 /// Least count in a pile above 0 DN, and how many standard errors it stands above its neighbour.
 const PILE: u64 = 30;
 const SURE: f64 = 4.0;
-/// Least share beyond a pile's neighbour: with less noise than that, rounding piles values up, too.
+/// Least share beyond a pile's neighbour, hot sites aside: with less noise than that, rounding piles values up, too.
 const BEYOND: f64 = 0.005;
 /// Least count of two neighbouring values between which nothing else can occur.
 const DENSE: u64 = 16;
@@ -117,14 +121,19 @@ impl Histogram {
             .map(move |(i, n)| (base + i as f64, n))
     }
 
-    /// The value below which a share of all lies, values taken as spread evenly over one unit.
+    /// Distance between values where signals are low, DN; 1 if nothing tells another.
+    fn step(&self) -> f64 {
+        self.steps().map(|steps| steps.low).filter(|low| *low > WHOLE_STEP).unwrap_or(1.0)
+    }
+
+    /// The value below which a share of all lies, values taken as spread evenly over one step.
     fn quantile(&self, share: f64) -> Option<f64> {
         let wanted = share * self.occurring().map(|(_, n)| n).sum::<u64>() as f64;
-        let mut below = 0.0;
+        let (mut below, step) = (0.0, self.step());
         for (value, n) in self.occurring() {
             let n = n as f64;
             if below + n >= wanted {
-                return Some(value - 0.5 + (wanted - below) / n);
+                return Some(value + step * ((wanted - below) / n - 0.5));
             }
             below += n;
         }
@@ -144,10 +153,11 @@ impl Histogram {
         let middle = if share >= 0.5 { dn } else { median };
         let spread = high - middle;
         let cut = if dn == 0.0 {
-            share >= 0.5 || median + 0.5 < NEAR * spread
+            share >= 0.5 || median + 0.5 * self.step() < NEAR * spread
         } else {
             let next = values.next().map_or(0, |(_, n)| n);
-            let beyond: u64 = values.map(|(_, n)| n).sum();
+            let reach = middle + OUTLIER * spread;
+            let beyond: u64 = values.take_while(|(v, _)| *v <= reach).map(|(_, n)| n).sum();
             let sure = (count as f64 - next as f64) > SURE * ((count + next) as f64).sqrt();
             count >= PILE && sure && beyond as f64 >= BEYOND * total
         };
@@ -158,12 +168,15 @@ impl Histogram {
     /// The steps between values; `None` if too few occur often enough to tell.
     pub(super) fn steps(&self) -> Option<Steps> {
         let values: Vec<(f64, u64)> = self.occurring().collect();
-        let dense = values.windows(2).filter(|two| two[0].1 >= DENSE && two[1].1 >= DENSE);
+        let dense = values.windows(2).filter(|two| {
+            let (few, many) = (two[0].1.min(two[1].1), two[0].1.max(two[1].1));
+            few >= DENSE && few as f64 >= STRAY * many as f64
+        });
         let gaps: Vec<i32> = dense.map(|two| (two[1].0 - two[0].0) as i32).collect();
         let mean = |gaps: &[i32]| {
             let mut sorted = gaps.to_vec();
             sorted.sort_unstable();
-            let limit = HOLE * sorted.get(sorted.len() / 2)?;
+            let limit = HOLE * sorted.get(sorted.len().saturating_sub(1) / 2)?;
             let kept: Vec<i32> = sorted.into_iter().filter(|gap| *gap <= limit).collect();
             Some(f64::from(kept.iter().sum::<i32>()) / kept.len() as f64)
         };
@@ -181,12 +194,12 @@ impl Histogram {
     /// Mean and variance of what lies within five standard deviations of the median; the first standard deviation is
     /// half the distance between the 16 % and the 84 % quantile. `None` of fewer than two values.
     pub(super) fn centre(&self) -> Option<Centre> {
-        let median = self.quantile(0.5)?;
+        let (median, step) = (self.quantile(0.5)?, self.step());
         let (low, high) = (self.quantile(0.158_655)?, self.quantile(0.841_345)?);
         let mut centre = Centre { mean: median, variance: (0.5 * (high - low)).powi(2), count: 0 };
         for _ in 0..3 {
-            // Rounding alone spreads by half a unit.
-            let (middle, reach) = (centre.mean, OUTLIER * centre.variance.sqrt().max(0.5));
+            // Rounding alone spreads by half a step.
+            let (middle, reach) = (centre.mean, OUTLIER * centre.variance.sqrt().max(0.5 * step));
             let within = || self.occurring().filter(move |(v, _)| (v - middle).abs() <= reach);
             let count: u64 = within().map(|(_, n)| n).sum();
             if count < 2 {
@@ -262,6 +275,45 @@ mod tests {
             let dead = std::iter::repeat_n(0.0, 20);
             let quiet = of(normal(seed as u64, mean, noise).map(f64::round).chain(dead));
             assert_eq!(quiet.cut_off(), None, "{mean}, {noise}");
+            assert!(quiet.steps().is_none_or(|steps| steps == Steps::WHOLE), "{mean}, {noise}");
+        }
+    }
+
+    #[test]
+    fn warm_sites_are_no_noise_beyond_a_pile() {
+        // 0.6 % of the sites, on average 30 DN above the others.
+        let warm = |mean: f64| (0..240).map(move |k| mean - 30.0 * ((f64::from(k) + 0.5) / 240.0).ln());
+        for (seed, (mean, noise)) in [(512.45, 0.3), (512.3, 0.2), (512.0, 0.05)].into_iter().enumerate() {
+            let quiet = of(normal(seed as u64, mean, noise).chain(warm(mean)).map(f64::round));
+            assert_eq!(quiet.cut_off(), None, "{mean}, {noise}");
+        }
+        for noise in [1.0, 3.0, 10.0] {
+            let half = normal(7, 512.0, noise).map(|v| v.round().max(512.0)).chain(warm(512.0));
+            let half = of(half).cut_off().unwrap_or_else(|| panic!("noise {noise}"));
+            assert!(half.dn == 512.0 && half.hides_black(), "{half:?}");
+        }
+    }
+
+    #[test]
+    fn black_of_values_that_are_cut_off_and_have_steps_is_told() {
+        let raws = [
+            (0.0, 6.0, 6.0),
+            (0.0, 5.0, 6.0),
+            (0.0, 7.0, 6.0),
+            (0.0, 12.0, 8.0),
+            (512.0, 8.0, 10.0),
+            (512.0, 3.5, 9.0),
+        ];
+        for (seed, (floor, black, noise)) in raws.into_iter().enumerate() {
+            let stepped = |v: f64| floor + 4.0 * (v / 4.0).round().max(0.0);
+            let cut = of(normal(seed as u64, black, noise).map(stepped)).cut_off();
+            let CutOff { dn, centre, .. } = cut.unwrap_or_else(|| panic!("{floor}, {black}, {noise}"));
+            let spread = centre.variance.sqrt();
+            assert!(
+                dn == floor && (centre.mean - floor - black).abs() < 0.25,
+                "{black}, {noise}: {centre:?}"
+            );
+            assert!((spread / noise - 1.0).abs() < 0.1, "{black}, {noise}: {spread}");
         }
     }
 

@@ -11,7 +11,7 @@ use super::error::CaptureError;
 use super::events::Topic;
 use super::hands::Hands;
 use super::window::{MIDDLE, mean_light, part, safe_sites};
-use crate::calibration::{FEWEST_SHOTS, Steadiness, SteadyError, SteadyShot, steadiness};
+use crate::calibration::{FEWEST_SHOTS, SCHEMA, Steadiness, SteadyError, SteadyShot, steadiness};
 use crate::pair::{FlashRecord, Reason, ReasonCode, Settings, Window, proof};
 use crate::photometry::levels::MeasuredLevels;
 use crate::photometry::{Mosaic, NoiseModel, isolate};
@@ -33,6 +33,8 @@ const MOST_FAILURES_IN_A_ROW: u32 = 3;
 /// `calibration/repeatability.json` ([`repeatability_file`]).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RepeatReport {
+    /// Form of the file, that of the calibrations' records.
+    pub schema: u32,
     /// When the series was taken, UTC.
     pub taken: String,
     /// The camera's settings of the first lit frame.
@@ -126,8 +128,15 @@ impl Engine {
         for remark in &remarks {
             self.events().tell(Topic::Trouble, remark.clone(), json!({}));
         }
-        let report =
-            RepeatReport { taken, settings, region: window, left_out, remarks, result: result.clone() };
+        let report = RepeatReport {
+            schema: SCHEMA,
+            taken,
+            settings,
+            region: window,
+            left_out,
+            remarks,
+            result: result.clone(),
+        };
         keep(session, &report)?;
         // The series counts from here on, whether anybody wants to stop or not.
         report::write(session, &progress.unstoppable())?;

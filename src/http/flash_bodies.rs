@@ -52,27 +52,27 @@ pub(super) struct RepeatabilityBody {
     spread: f64,
     /// Standard error of `spread`.
     spread_error: f64,
-    /// The same, divided by the measured energy.
-    corrected: f64,
+    /// The same, divided by the measured energy; absent unless all energies are known.
+    corrected: Option<f64>,
     /// Standard error of `corrected`.
-    corrected_error: f64,
+    corrected_error: Option<f64>,
     /// Part of both that is the sensor's noise.
     sensor_noise: f64,
-    /// Part of `corrected` that is the photodiode's reading.
-    reading_noise: f64,
+    /// Part of `corrected` that is the photodiode's reading; absent where it was not measured.
+    reading_noise: Option<f64>,
 }
 
 impl From<Steadiness> for RepeatabilityBody {
     fn from(run: Steadiness) -> Self {
-        let corrected = run.light_by_energy_deviation.unwrap_or(run.light_deviation);
+        let corrected = run.light_by_energy_deviation;
         Self {
             shots: run.frames.len(),
             spread: run.light_deviation,
             spread_error: run.standard_error(run.light_deviation),
             corrected,
-            corrected_error: run.standard_error(corrected),
+            corrected_error: corrected.map(|corrected| run.standard_error(corrected)),
             sensor_noise: run.sensor_deviation,
-            reading_noise: run.reading_deviation.unwrap_or(0.0),
+            reading_noise: run.reading_deviation,
         }
     }
 }
@@ -153,5 +153,30 @@ impl Default for RepeatabilityOrder {
     /// As many as the thesis took.
     fn default() -> Self {
         Self { shots: 40 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::{SteadyShot, steadiness};
+
+    #[test]
+    fn a_run_without_measured_energies_has_no_corrected_figures() {
+        let told = |energy_counts: Option<f64>| {
+            let shot = |k: u8| SteadyShot {
+                light_dn: [100.0 + f64::from(k); 3],
+                energy_counts,
+                dark_energy_counts: energy_counts.map(|_| 1.0),
+                ..SteadyShot::default()
+            };
+            RepeatabilityBody::from(steadiness((0..8).map(shot).collect()).unwrap())
+        };
+        let unknown = told(None);
+        assert!(unknown.spread > 0.0);
+        assert_eq!((unknown.corrected, unknown.corrected_error, unknown.reading_noise), (None, None, None));
+        let known = told(Some(500.0));
+        assert!(known.corrected.is_some() && known.corrected_error.is_some());
+        assert_eq!(known.reading_noise, Some(1.0 / 500.0));
     }
 }

@@ -55,7 +55,7 @@ impl Lighting {
     /// Refuses what cannot be, with a sentence.
     pub fn checked(self) -> Result<Self, String> {
         match (self.polariser.and_then(|p| p.angle_degrees), self.flash_power) {
-            (Some(angle), _) if !(angle.abs() <= 360.0) => {
+            (Some(angle), _) if !(-360.0..=360.0).contains(&angle) => {
                 Err(format!("the polariser's angle is {angle}; give degrees from -360 to 360"))
             }
             (_, Some(power)) if !(power > 0.0 && power <= 1.0) => Err(format!(

@@ -2,7 +2,7 @@
 //!
 //! Made anew without solving when the colour calibration or the certificate changes.
 
-use super::certify::Standing;
+use super::certify::{CertificateError, Standing};
 use super::manifest::{StageManifest, digest};
 use super::output::up;
 use super::process::{Inputs, ProcessError, ProcessSummary, io};
@@ -27,7 +27,7 @@ pub(super) fn dress(
     texture: &str,
     manifest: &mut StageManifest,
 ) -> Result<bool, ProcessError> {
-    let certificate = Standing::load(session)?;
+    let (certificate, _) = certificate(session)?;
     let key = key(inputs, texture, certificate.as_ref());
     if manifest.is_done(session, STAGE, &key) {
         return Ok(false);
@@ -45,8 +45,16 @@ pub(super) fn is_done(
     texture: &str,
     manifest: &StageManifest,
 ) -> Result<bool, ProcessError> {
-    let certificate = Standing::load(session)?;
+    let (certificate, _) = certificate(session)?;
     Ok(manifest.is_done(session, STAGE, &key(inputs, texture, certificate.as_ref())))
+}
+
+/// The session's certificate. One of an earlier version of unlit counts as none, and what is to be said of it comes second.
+pub(super) fn certificate(session: &Session) -> Result<(Option<Standing>, Option<String>), CertificateError> {
+    match Standing::load(session) {
+        Err(older @ CertificateError::Older(_)) => Ok((None, Some(older.to_string()))),
+        found => Ok((found?, None)),
+    }
 }
 
 fn key(inputs: &Inputs, texture: &str, certificate: Option<&Standing>) -> String {
@@ -112,4 +120,25 @@ fn make(
 fn read(path: &Path) -> Result<Rgb, ProcessError> {
     let found = exr_image::read(path)?.rgb().filter(|image| image.width() == image.height());
     found.ok_or_else(|| ProcessError::Stale(path.to_owned()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_certificate_of_an_earlier_version_counts_as_none_and_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let session = Session::create(&folder.path().join("s"), "s").unwrap();
+        std::fs::create_dir_all(session.model_dir()).unwrap();
+        let of = |text: &str| {
+            std::fs::write(session.model_dir().join("certificate.json"), text).unwrap();
+            certificate(&session)
+        };
+        let (none, told) = of(r#"{ "schema": 1, "patches": [] }"#).unwrap();
+        assert_eq!(none, None);
+        assert!(told.unwrap().contains("certify again"));
+        assert!(matches!(of(r#"{ "schema": 1000 }"#), Err(CertificateError::TooNew { .. })));
+        assert!(matches!(of("{"), Err(CertificateError::Damaged { .. })));
+    }
 }

@@ -1,7 +1,7 @@
 //! What a session knows of its flash's energy: gains for processing, the trend for whoever shoots, the repeatability
 //! run. Read from the pairs' records every time; nothing of it is stored but the run.
 
-use crate::calibration::{FlashCalibration, Steadiness};
+use crate::calibration::{FlashCalibration, SCHEMA, Steadiness};
 use crate::pair::energy::{EnergyScale, Trend, trend};
 use crate::pair::{FlashRecord, PairRecord, Verdict};
 use crate::session::{Session, SessionError};
@@ -33,6 +33,17 @@ pub enum EnergyError {
         /// What is wrong with it.
         reason: String,
     },
+    /// `repeatability.json` is of an earlier program.
+    #[error("{} does not count: it is of an earlier version of unlit; measure the flash's repeatability again", .0.display())]
+    Older(PathBuf),
+    /// It is of a later program.
+    #[error("{} was written by a later version of unlit (form {found}, this program knows {SCHEMA}); update unlit", path.display())]
+    TooNew {
+        /// The file.
+        path: PathBuf,
+        /// Its form.
+        found: u32,
+    },
 }
 
 /// The flash of a session.
@@ -42,18 +53,29 @@ pub struct FlashAccount {
     pub scale: EnergyScale,
     /// Pulse by pulse, with advice.
     pub trend: Trend,
-    /// The last repeatability run.
+    /// The last repeatability run; one of an earlier version of unlit counts as none.
     pub repeatability: Option<Steadiness>,
 }
 
 /// Everything that the session's records tell of its flash.
 pub fn account(session: &Session) -> Result<FlashAccount, EnergyError> {
     let calibration = if super::flash::exists(session) { Some(super::flash::load(session)?) } else { None };
-    let repeatability = repeatability(session)?;
+    let repeatability = match repeatability(session) {
+        Err(EnergyError::Older(_)) => None,
+        run => run?,
+    };
     // Each attempt at a pair fired the flash, and what was rejected drained it as well.
     let pairs: Vec<_> = session.attempts()?.into_values().flatten().collect();
     let scale = scale(&pairs, calibration.as_ref(), repeatability.as_ref());
     Ok(FlashAccount { trend: trend(&pairs, &scale), scale, repeatability })
+}
+
+/// What is to be said of a repeatability run that does not count.
+pub(super) fn remark(session: &Session) -> Option<String> {
+    match repeatability(session) {
+        Err(older @ EnergyError::Older(_)) => Some(older.to_string()),
+        _ => None,
+    }
 }
 
 /// The energy scale of a session's pairs.
@@ -75,12 +97,52 @@ pub fn repeatability_file(session: &Session) -> PathBuf {
 
 /// The session's last repeatability run, if there was one.
 pub fn repeatability(session: &Session) -> Result<Option<Steadiness>, EnergyError> {
+    #[derive(serde::Deserialize)]
+    struct Form {
+        schema: Option<u32>,
+    }
     let path = repeatability_file(session);
-    match std::fs::read(&path) {
-        Ok(bytes) => serde_json::from_slice(&bytes)
-            .map(Some)
-            .map_err(|e| EnergyError::Damaged { path, reason: e.to_string() }),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(EnergyError::Io { path, source }),
+    let bytes = match std::fs::read(&path) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        read => read.map_err(|source| EnergyError::Io { path: path.clone(), source })?,
+    };
+    let damaged = |e: serde_json::Error| EnergyError::Damaged { path: path.clone(), reason: e.to_string() };
+    let Form { schema } = serde_json::from_slice(&bytes).map_err(damaged)?;
+    match schema {
+        Some(SCHEMA) => serde_json::from_slice(&bytes).map(Some).map_err(damaged),
+        Some(found) if found > SCHEMA => Err(EnergyError::TooNew { path, found }),
+        _ => Err(EnergyError::Older(path)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_run_of_an_earlier_version_counts_as_none_and_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let session = Session::create(&folder.path().join("s"), "s").unwrap();
+        let keep = |run: &str| session.keep(&repeatability_file(&session), run.as_bytes()).unwrap();
+        let known = || account(&session).map(|account| account.repeatability.map(|run| run.frames.len()));
+        assert_eq!((known().unwrap(), remark(&session)), (None, None), "nothing was measured");
+
+        keep(&json!({ "taken": "2026-11-01T10:00:00Z", "spread": 0.003, "frames": [] }).to_string());
+        assert_eq!(known().unwrap(), None);
+        assert!(remark(&session).unwrap().contains("measure the flash's repeatability again"));
+
+        let shot = crate::calibration::SteadyShot { light_dn: [100.0; 3], ..Default::default() };
+        let run = crate::calibration::steadiness(vec![shot; 8]).unwrap();
+        let mut stored = json!(run);
+        stored["schema"] = json!(SCHEMA);
+        keep(&stored.to_string());
+        assert_eq!((known().unwrap(), remark(&session)), (Some(8), None));
+
+        stored["schema"] = json!(SCHEMA + 1);
+        keep(&stored.to_string());
+        assert!(matches!(known(), Err(EnergyError::TooNew { found, .. }) if found == SCHEMA + 1));
+        keep(&json!({ "schema": SCHEMA }).to_string());
+        assert!(matches!(known(), Err(EnergyError::Damaged { .. })));
     }
 }

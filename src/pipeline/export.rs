@@ -14,7 +14,7 @@ use super::output::up;
 use super::process::{ProcessError, ProcessSummary, stored};
 use super::scene::{self, SceneError};
 use super::uvs::{self, UvsError};
-use super::{flash, views};
+use super::{dress, flash, views};
 use crate::calibration::colour::rows;
 use crate::codec::asset::AssetError;
 use crate::codec::exr_image::{self, Exr};
@@ -199,8 +199,8 @@ struct Model {
     colour: Colour,
     /// From camera RGB to the colours asked for; `None` for the camera's own.
     matrix: Option<DMat3>,
-    /// What is to be known of the colours.
-    colour_notes: Vec<String>,
+    /// What is to be known of colours and certificate.
+    notes: Vec<String>,
     provenance: Value,
 }
 
@@ -229,7 +229,7 @@ impl Model {
             return Err(ExportError::Unfit { path: folder.join("views.exr"), found, expected });
         }
         let asked = space(colour).map(|space| camera_colour(session, &summary).map(|known| (space, known)));
-        let (known, matrix, colour_notes) = match asked.transpose()? {
+        let (known, matrix, mut notes) = match asked.transpose()? {
             None => (None, None, vec![]),
             Some((space, (known, note))) => {
                 let words = format!("colours: {}", known.basis.words());
@@ -241,12 +241,13 @@ impl Model {
             Some(matrix) => transformed(&reflectance, matrix),
             None => reflectance,
         };
-        let certificate = Standing::load(session)?;
+        let (certificate, older) = dress::certificate(session)?;
+        notes.extend(older);
         let mut provenance = provenance(session, &summary, certificate.as_ref());
         let basis = known.map(|known| known.basis);
         provenance["colour"] =
             json!({ "space": name(colour), "basis": basis, "from_camera": matrix.map(|m| rows(&m)) });
-        Ok(Self { summary, mesh, up, folder, reflectance, counts, colour, matrix, colour_notes, provenance })
+        Ok(Self { summary, mesh, up, folder, reflectance, counts, colour, matrix, notes, provenance })
     }
 
     /// Standard deviations in the colours asked for.
@@ -270,7 +271,7 @@ impl Model {
 
     fn notes(&self, options: &ExportOptions) -> Vec<String> {
         let mut notes = self.summary.out_of_range.warnings();
-        notes.extend(self.colour_notes.iter().cloned());
+        notes.extend(self.notes.iter().cloned());
         let display = options.formats.iter().any(|f| matches!(f, Format::Glb | Format::Obj));
         if display && options.colour == Colour::AcesCg {
             notes.push("GLB and PNG know sRGB alone: their colours are sRGB, not ACEScg".into());

@@ -218,6 +218,7 @@ impl Inputs {
         let mut remarks: Vec<String> =
             doubt.chain(unchecked).chain(develop::remarks(session, &calibrated.fit, of_pairs)?).collect();
         remarks.extend(flash::scaled_for(&calibrated, pairs.iter().copied(), &scale)?);
+        remarks.extend(energy::remark(session));
         let colours = SessionColours::measured(session, &pairs)?;
         let mut parts: Vec<Vec<u8>> = vec![];
         for path in [flash::file(session), session.scene_dir().join("scene.json")] {

@@ -187,6 +187,7 @@ fn rig(told: &Told<'_>) -> Vec<Block> {
         ),
         fact("Card", format!("reflectance taken to be {}", fit.target_reflectance)),
         fact("Residual of the fit", percent(fit.residual_rms)),
+        fact("Of it not the sensor's noise", percent(fit.misfit_rms)),
     ]);
     let rows = fit.cards.iter().map(|shot| {
         let used = |text: Option<String>| text.filter(|_| shot.used).unwrap_or_else(|| "left out".into());

@@ -306,7 +306,7 @@ mod tests {
         let calibration: FlashCalibration = serde_json::from_value(json!({
             "ring": { "inner_radius_m": 0.035, "outer_radius_m": 0.085 }, "radiance_dn": [1.0, 1.0, 1.0],
             "field": { "coefficients": [0.0, 0.0, 0.0] }, "noise": { "gain_dn": 0.3, "floor_dn2": 10.0 },
-            "target_reflectance": 0.94, "iso": 100.0, "aperture": null, "cards": [], "residual_rms": 0.0,
+            "target_reflectance": 0.94, "iso": 100.0, "aperture": null, "cards": [], "residual_rms": 0.0, "misfit_rms": 0.0,
         }))
         .unwrap();
         // Alike; two steps; unlike the flash calibration; a label that was not measured.

@@ -19,7 +19,7 @@ pub const SHOT_INTERRUPTED: &str = "calibration_shot_interrupted";
 
 /// The note of a shot that waits for its calibration, once it is whole on the disk.
 pub const FRAME_STORED: &str = "calibration_frame_stored";
-/// The note of one that is about to be removed: on request, or because a record has its copy.
+/// The note of one that was removed, on request or because a record has its copy, once it is gone.
 pub const FRAME_REMOVED: &str = "calibration_frame_removed";
 
 /// Where shots wait for their calibration, from the session's folder: a folder a kind, in it one a shot.

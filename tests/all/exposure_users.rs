@@ -75,7 +75,7 @@ fn calibration() -> FlashCalibration {
         "iso": 100.0,
         "aperture": 11.0,
         "cards": [],
-        "residual_rms": 0.0,
+        "residual_rms": 0.0, "misfit_rms": 0.0,
     }))
     .unwrap()
 }

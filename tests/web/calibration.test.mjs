@@ -71,6 +71,18 @@ test("what is no raw file is refused in words, and the others' guides can be rea
     await shot(page, `calibration-${name.split(" ")[0].toLowerCase()}-1280`);
     await kind.click();
   }
+  await panel.getByRole("button", { name: "Colour" }).first().click();
+  await panel.locator("summary", { hasText: /^More$/ }).click();
+  const corners = panel.getByLabel("Corner patches of the chart");
+  const taken = async (points) => {
+    await corners.fill(points);
+    return corners.evaluate((field) => field.checkValidity());
+  };
+  assert.ok(await taken("100,120 900,120.5 900,700 100,700"));
+  assert.ok(!(await taken("100,120 900,120")));
+  assert.ok(!(await taken("1,2 3,4 5,6 7")));
+  await panel.getByRole("button", { name: "Colour" }).first().click();
+
   await panel.getByRole("button", { name: "Vignetting" }).click();
   const file = { name: "flat.dng", mimeType: "image/x-adobe-dng", buffer: Buffer.from("no raw at all") };
   await panel.getByLabel("Or send raw files").setInputFiles(file);

@@ -74,7 +74,7 @@ export function Fit({ live, session, state, heldOut, busy }: Props & { heldOut: 
             <input
               type="text"
               inputMode="numeric"
-              pattern="\\s*([0-9.]+,[0-9.]+\\s*){4}"
+              pattern={"\\s*([0-9.]+,[0-9.]+\\s+){3}[0-9.]+,[0-9.]+\\s*"}
               value={corners}
               onInput={(event) => setCorners(event.currentTarget.value)}
             />

@@ -52,7 +52,8 @@ export interface Pulse {
 export interface Repeatability {
   shots: number;
   spread: number;
-  corrected: number;
+  /** Divided by the measured energy; null where energies are not known. */
+  corrected?: number | null;
 }
 
 /** What a session's pairs tell of the flash. */

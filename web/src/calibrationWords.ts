@@ -134,6 +134,7 @@ export function keyFigures(kind: Kind, record: CalibrationRecord): [string, stri
         put(`${colour}: radiance`, record.radiance_dn?.[i], (v) => `${fixed(v, 0)} DN`);
       }
       put("residual", record.residual_rms, (v) => percent(v, 2));
+      put("of it not the sensor's noise", record.misfit_rms, (v) => percent(v, 2));
       break;
     case "steadiness":
       put("standard deviation from shot to shot", record.jitter_deviation, (v) => percent(v, 3));

@@ -66,7 +66,8 @@ export const words = {
     `Pair ${p.pair}: ${p.gain.toFixed(4)} ± ${p.deviation.toFixed(4)} of the reference energy`,
   energyScale: (reach: number) => `Energy pair by pair, scale ± ${percent(reach, 1)}`,
   repeatability: (r: Repeatability) =>
-    `Known light over ${r.shots} shots: ${percent(r.spread, 3)} as it came, ${percent(r.corrected, 3)} by energy.`,
+    `Known light over ${r.shots} shots: ${percent(r.spread, 3)} as it came` +
+    (r.corrected == null ? "." : `, ${percent(r.corrected, 3)} by energy.`),
 
   cameraInUse: "Camera in use",
   noCameraInUse: "none",

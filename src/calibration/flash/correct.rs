@@ -94,7 +94,9 @@ pub fn correct_flash(
         .zip(&again)
         .flat_map(|(cell, m)| (0..3).map(|c| (cell.value[c] - m[c]).powi(2) / cell.variance[c]));
     let dispersion = (squares.sum::<f64>() / (readings - 3.0)).max(1.0);
-    let misfit_rms = misfit(rms, dispersion);
+    let variances =
+        seen.cells.iter().zip(&again).flat_map(|(cell, m)| (0..3).map(|c| cell.variance[c] / (m[c] * m[c])));
+    let misfit_rms = misfit(rms, variances.sum::<f64>() / readings);
     if misfit_rms.is_nan() || misfit_rms > MOST_MISFIT {
         return Err(FlashFitError::Residual(100.0 * misfit_rms));
     }

@@ -48,7 +48,8 @@ pub fn fit_flash(shots: &[CardShot], facts: &FlashFacts) -> Result<FlashCalibrat
     let count: f64 = solution.sums.iter().map(|s| s.count).sum();
     let squares: f64 = solution.sums.iter().zip(&shot_rms).map(|(s, rms)| s.count * rms * rms).sum();
     let rms = (squares / count).sqrt();
-    let misfit_rms = misfit(rms, solution.dispersion);
+    let noise: f64 = solution.sums.iter().map(|s| s.noise).sum();
+    let misfit_rms = misfit(rms, noise / count);
     if misfit_rms.is_nan() || misfit_rms > MOST_MISFIT {
         return Err(FlashFitError::Residual(100.0 * misfit_rms));
     }

@@ -41,16 +41,17 @@ pub(super) struct ShotSums {
     pub(super) h: f64,
     /// Sum of w r^2.
     pub(super) chi: f64,
-    /// Cells, and unweighted sums of r and r^2.
+    /// Cells, and unweighted sums of r, r^2 and the sensor's variance 1 / w.
     pub(super) count: f64,
     pub(super) plain: f64,
     pub(super) squares: f64,
+    pub(super) noise: f64,
 }
 
 impl ShotSums {
     pub(super) fn zero(n: usize) -> Self {
         let (cells, c) = (Normal::zero(n), DVector::zeros(n));
-        Self { cells, c, w: 0.0, h: 0.0, chi: 0.0, count: 0.0, plain: 0.0, squares: 0.0 }
+        Self { cells, c, w: 0.0, h: 0.0, chi: 0.0, count: 0.0, plain: 0.0, squares: 0.0, noise: 0.0 }
     }
 
     /// One cell.
@@ -63,6 +64,7 @@ impl ShotSums {
         self.count += 1.0;
         self.plain += residual;
         self.squares += residual * residual;
+        self.noise += weight.recip();
     }
 
     /// The shot's own factor less 1.

@@ -57,10 +57,10 @@ const USUAL_JITTER: f64 = 0.0029;
 /// Largest misfit (relative) of a calibration that may be used.
 const MOST_MISFIT: f64 = 0.1;
 
-/// Part of a root mean square residual that the sensor's noise does not account for; `dispersion`, 1 at least, is the
-/// residuals' variance over the sensor's.
-fn misfit(residual_rms: f64, dispersion: f64) -> f64 {
-    residual_rms * (1.0 - dispersion.recip()).sqrt()
+/// Root mean square of what the sensor's noise does not account for: of the residuals, less the mean of the sensor's own
+/// relative variance. Both unweighted, so that bright cells do not speak for dim ones.
+fn misfit(residual_rms: f64, noise: f64) -> f64 {
+    (residual_rms * residual_rms - noise).max(0.0).sqrt()
 }
 
 /// Product of vignetting and lamp lobe over the field, 1 on the axis.
@@ -204,7 +204,8 @@ pub struct FlashCalibration {
     pub cards: Vec<CardResidual>,
     /// Root mean square of (measured / model - 1) over all cells used, each shot's own energy taken out.
     pub residual_rms: f64,
-    /// What of it the sensor's noise does not account for: `residual_rms sqrt(1 - 1 / dispersion)`.
+    /// What of it the sensor's noise does not account for: the root of `residual_rms^2` less the mean relative variance of
+    /// the cells by the sensor's noise.
     pub misfit_rms: f64,
     /// Intervals and tests.
     #[serde(default)]

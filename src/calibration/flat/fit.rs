@@ -8,8 +8,9 @@ use nalgebra::DMatrix;
 
 /// Largest relative standard error of a frame's mean light that is a measurement.
 const DARKEST: f64 = 0.02;
-/// Largest share of a frame's tiles and colours that may be over-exposed: what one frame lacks, none can give.
-const MOST_OVER: f64 = 0.02;
+/// Largest share of a frame's tiles and colours that may be over-exposed, or cut off at 0 DN: what one frame lacks, none can
+/// give.
+const MOST_LOST: f64 = 0.02;
 /// Least tiles of a colour.
 const FEWEST: usize = 24;
 /// Least light at q = 1 against the centre that a lens gives.
@@ -77,7 +78,9 @@ pub fn fit_flat(frames: &[EvenFrame]) -> Result<(FlatCalibration, Vec<(usize, St
     let all = used.first().map_or(0, |t| t.tiles.len());
     let share = points.len() as f64 / (all * colours.len().max(1)) as f64;
     let enough = |&c: &usize| points.iter().filter(|p| p.colour == c).count() >= FEWEST;
-    let little = || FlatFitError::Little(100.0 * share);
+    let cut: f64 = used.iter().map(|tiles| tiles.cut_off - tiles.over_exposed).sum();
+    let lost = if cut > 0.0 { "cut off at 0 DN; take more light" } else { "over-exposed; take less light" };
+    let little = || FlatFitError::Little { left: 100.0 * share, lost };
     if colours.is_empty() || !colours.iter().all(enough) {
         return Err(little());
     }
@@ -92,10 +95,16 @@ pub fn fit_flat(frames: &[EvenFrame]) -> Result<(FlatCalibration, Vec<(usize, St
 
 /// Why a frame tells no vignetting.
 fn unfit(tiles: &Tiles) -> Option<String> {
-    if tiles.over_exposed > MOST_OVER {
+    if tiles.over_exposed > MOST_LOST {
         return Some(format!(
             "over-exposed in {:.0} % of the frame; take less light",
             100.0 * tiles.over_exposed
+        ));
+    }
+    if tiles.cut_off > MOST_LOST {
+        return Some(format!(
+            "too dark: {:.0} % of the frame is cut off at 0 DN; take more light",
+            100.0 * tiles.cut_off
         ));
     }
     let all = || tiles.tiles.iter().flatten().flatten();
@@ -341,4 +350,39 @@ fn map(
     errors.sort_by(f64::total_cmp);
     let parts = sums.into_iter().map(|row| row.into_iter().map(|(v, w)| (w > 0.0).then(|| v / w)).collect());
     (parts.collect(), errors.get(errors.len() / 2).copied().unwrap_or(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pair::Settings;
+    use crate::photometry::Cfa;
+
+    #[test]
+    fn a_frame_that_is_cut_off_at_nought_wants_more_light_and_not_less() {
+        let tile = Tile { mean: 5000.0, variance: 100.0, sites: 16.0 };
+        let whole = Tiles {
+            size: (120, 80),
+            cfa: Cfa::RGGB,
+            grid: (15, 10),
+            tiles: vec![[Some(tile); 3]; 150],
+            over_exposed: 0.0,
+            cut_off: 0.0,
+        };
+        let told = |tiles: Tiles| {
+            fit_flat(&[EvenFrame { settings: Settings::default(), tiles }]).unwrap_err().to_string()
+        };
+        let dark = told(Tiles { cut_off: 0.4, ..whole.clone() });
+        assert!(
+            dark.contains("too dark: 40 % of the frame is cut off") && dark.contains("more light"),
+            "{dark}"
+        );
+        // Of a small frame even less is too much.
+        let mut small = whole;
+        small.tiles[20..].fill([None; 3]);
+        let little = told(Tiles { cut_off: 0.02, ..small.clone() });
+        assert!(little.contains("too little") && little.contains("more light"), "{little}");
+        let bright = told(Tiles { over_exposed: 0.02, ..small });
+        assert!(bright.contains("too little") && bright.contains("less light"), "{bright}");
+    }
 }

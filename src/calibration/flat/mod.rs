@@ -12,12 +12,13 @@
 //! darker in the middle cannot be told from vignetting: turn the camera by 90 and 180 degrees between frames, or take
 //! a lit surface much larger than the frame.
 //!
-//! Frames are added up, tile by tile ([`tiles`](super::tiles)), over the tiles that none of them over-exposes. Weighted
-//! least squares by each tile's noise (Gauss and Newton; the model is linear but for the products with s). The order is
-//! the least that the data want: the highest coefficient goes while leaving it out raises chi^2 by less than F(1) allows
-//! ([`KEEP`]); then curves of each colour are tried against a common one. Standard errors are those of the fit, raised by
-//! the root of chi^2 per degree of freedom where the residuals are more than noise. The corner's interval holds the choice
-//! of the order too: its variance is that of the fit plus the squares of what each higher order would change.
+//! Frames are added up, tile by tile ([`tiles`](super::tiles)), over the tiles that none of them over-exposes or cuts off
+//! at 0 DN. Weighted least squares by each tile's noise (Gauss and Newton; the model is linear but for the products with
+//! s). The order is the least that the data want: the highest coefficient goes while leaving it out raises chi^2 by
+//! less than F(1) allows ([`KEEP`]); then curves of each colour are tried against a common one. Standard errors are
+//! those of the fit, raised by the root of chi^2 per degree of freedom where the residuals are more than noise. The
+//! corner's interval holds the choice of the order too: its variance is that of the fit plus the squares of what each
+//! higher order would change.
 
 mod fit;
 #[cfg(test)]
@@ -83,7 +84,7 @@ pub struct FlatCalibration {
     pub chi_squared: f64,
     /// Root mean square of measured / model - 1 over the tiles.
     pub residual_rms: f64,
-    /// measured / model - 1 in parts of the frame, row by row from the top; null where over-exposed.
+    /// measured / model - 1 in parts of the frame, row by row from the top; null where over-exposed or cut off at 0 DN.
     pub residual_map: Vec<Vec<Option<f64>>>,
     /// Standard error that noise gives a part of the map.
     pub residual_map_standard_error: f64,
@@ -125,8 +126,13 @@ pub enum FlatFitError {
         source: OtherRig,
     },
     /// The tiles left do not tell the curve.
-    #[error("too little of the frame is left beside what is over-exposed ({0:.0} %); take less light")]
-    Little(f64),
+    #[error("too little of the frame is left ({left:.0} %) beside what is {lost}")]
+    Little {
+        /// Share of tiles and colours, %.
+        left: f64,
+        /// What the others are, and what to do about it.
+        lost: &'static str,
+    },
     /// The light was not that of something even.
     #[error(
         "the light falls to {0:.2} of that at the centre: this is no even surface, or it does not fill the frame"

@@ -149,9 +149,17 @@ fn exposure<'a>(shots: impl Iterator<Item = &'a Seen>) -> Vec<String> {
     lacks
 }
 
-/// Three distances, three shots at each.
+/// Three distances, three shots at each; as many shots where tags tell the distances.
 fn flash<'a>(shots: impl Iterator<Item = &'a Seen>) -> Vec<String> {
-    let mut placed: Vec<f64> = shots.filter_map(|s| s.distance_m).collect();
+    let shots: Vec<&Seen> = shots.collect();
+    if shots.iter().any(|s| s.distance_m.is_none()) {
+        let (one, many) = (
+            "shot; the card's tags tell the distances",
+            "shots, three at each of three distances, which the card's tags tell",
+        );
+        return more(DISTANCES * SHOTS, shots.len(), one, many).into_iter().collect();
+    }
+    let mut placed: Vec<f64> = shots.iter().filter_map(|s| s.distance_m).collect();
     placed.sort_by(f64::total_cmp);
     let places: Vec<&[f64]> = placed.chunk_by(|a, b| b - a < SAME_DISTANCE_M).collect();
     let mut lacks: Vec<String> =
@@ -234,6 +242,14 @@ mod tests {
             Kind::Flash.lacks(&shots),
             ["1 more distance, three shots.", "1 more shot with the card at 1.2 m."]
         );
+        let by_tags = [seen(Role::Card, 0.5, 0.0); 9];
+        assert_eq!(
+            Kind::Flash.lacks(&by_tags[..2]),
+            ["7 more shots, three at each of three distances, which the card's tags tell."]
+        );
+        let mixed = Kind::Flash.lacks(&[&shots[..3], &by_tags[..5]].concat());
+        assert_eq!(mixed, ["1 more shot; the card's tags tell the distances."]);
+        assert!(Kind::Flash.lacks(&by_tags).is_empty());
         let lit = [seen(Role::Lit, 0.5, 0.0); 40];
         assert_eq!(
             Kind::Steadiness.lacks(&lit[..9]),

@@ -183,3 +183,29 @@ impl Dark {
 fn limits(centres: &[Option<Centre>; 4], deviations: f64) -> [f64; 4] {
     centres.map(|c| c.map_or(f64::INFINITY, |c| c.mean + deviations * c.variance.sqrt().max(0.5)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, Normal};
+
+    #[test]
+    fn black_of_raws_that_are_cut_off_and_have_steps_lies_in_its_interval() {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(79);
+        for (black, noise) in [(6.0f64, 6.0), (5.0, 6.0), (12.0, 8.0)] {
+            let normal = Normal::new(black, noise).unwrap();
+            let mut step =
+                |_: usize, _: usize| 4 * (normal.sample(&mut random) / 4.0).round().max(0.0) as u16;
+            let frame = Image::from_fn(160, 120, &mut step);
+            let mut values = four(0, VALUES);
+            frame.pixels().iter().for_each(|&dn| values[0].add(dn.into()));
+            let mut dark = Dark::new(&frame);
+            dark.add(&frame, &values, [black; 4]);
+            let known = dark.black(0, dark.centres()[0].unwrap(), dark.cut_offs()[0].is_some());
+            let [low, high] = known.interval;
+            assert!(dark.cut_offs()[0].is_some() && dark.steps(0).low == 4.0, "{black}, {noise}");
+            assert!(low < black && black < high && high - low < 1.0, "{black}, {noise}: {known:?}");
+        }
+    }
+}

@@ -2,7 +2,7 @@
 
 use super::dark::{Dark, Known, ReadNoise};
 use super::{BlackSource, IsoLevels, SiteLevels};
-use crate::calibration::histogram::{Centre, CutOff, Histogram};
+use crate::calibration::histogram::{Centre, CutOff, Histogram, WHOLE_STEP};
 use crate::calibration::statistics::Z95;
 use crate::codec::raw::Masked;
 use crate::photometry::saturation::{self, NotBlown, Spike};
@@ -15,8 +15,6 @@ pub(super) const POSITIONS: [(usize, usize); 4] = [(0, 0), (0, 1), (1, 0), (1, 1
 pub(super) const VALUES: usize = 1 << 16;
 /// Share of the range from black to saturation below which a frame's median must lie to be dark.
 const DARK: f64 = 0.05;
-/// Steps between values from which they are told, DN.
-const STEP: f64 = 1.02;
 
 /// Why a frame does not tell levels.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -217,7 +215,7 @@ impl IsoSums {
                 black_dn_interval_95: bounded.map(|b| b.interval),
                 cut_off_dn: cuts[position].map(|cut| cut.dn),
                 cut_off_share: cuts[position].map(|cut| cut.share),
-                step_dn: (step > STEP).then_some(step),
+                step_dn: (step > WHOLE_STEP).then_some(step),
                 masked_black_dn: masked[position].map(|m| m.value),
                 masked_black_dn_standard_error: masked[position].map(|m| m.error),
                 read_noise_dn: noise.map(|n| n.value),

@@ -12,6 +12,7 @@ pub(super) fn linearity(input: &IsoInput) -> Result<Linearity, NoLinearity> {
     let first = input.levels.first().ok_or(NoLinearity::TooFew)?;
     let one_aperture = input.levels.iter().all(|level| level.aperture == first.aperture);
     let one_time = input.levels.iter().all(|level| level.time == first.time);
+    let shared = |(k, level): (usize, &LightLevel)| input.levels[..k].iter().any(|l| l.time == level.time);
     let (lights, missing, source) = match input.stops {
         Some(_) if !(one_aperture && one_time) => return Err(NoLinearity::SettingsVary),
         Some(stops) => {
@@ -19,10 +20,8 @@ pub(super) fn linearity(input: &IsoInput) -> Result<Linearity, NoLinearity> {
             (lights, missing, LightSource::Stops)
         }
         None if one_time || !one_aperture => return Err(NoLinearity::LightUntold),
-        // Two levels of one time were not made by the shutter alone.
-        None if input.levels.windows(2).any(|two| two[0].time == two[1].time) => {
-            return Err(NoLinearity::LightUntold);
-        }
+        // Two levels of one time, neighbours or not, were not made by the shutter alone.
+        None if input.levels.iter().enumerate().any(shared) => return Err(NoLinearity::LightUntold),
         None => (input.levels.iter().map(|level| level.time).collect(), 0, LightSource::Shutter),
     };
     let known: Vec<(f64, [Option<Reading>; 3])> =
@@ -99,6 +98,7 @@ fn ladder(signals: &[[Option<Reading>; 3]], stops: f64) -> Result<(Vec<Option<f6
 mod tests {
     use super::*;
     use crate::calibration::noise::{PairTiles, Signal};
+    use crate::photometry::LevelSource;
 
     fn level(mean: f64, part: f64) -> LightLevel {
         let signal = [0.5, 1.0, 0.7].map(|share| {
@@ -118,6 +118,29 @@ mod tests {
         assert!((lights[6].unwrap() / lights[5].unwrap() - 1.5f64.exp2()).abs() < 1e-12);
         assert!(matches!(ladder(&signals, 1.1), Err(NoLinearity::OddStep { .. })));
         assert!(matches!(ladder(&signals, 0.0), Err(NoLinearity::Stops(_))));
+    }
+
+    #[test]
+    fn two_levels_of_one_shutter_time_were_not_made_by_the_shutter_wherever_they_stand() {
+        let told = |times: [f64; 5]| {
+            let levels = times.into_iter().zip([700.0, 1400.0, 2800.0, 4000.0, 5600.0]);
+            let levels = levels.map(|(time, mean)| LightLevel { time: Some(time), ..level(mean, 0.0) });
+            linearity(&IsoInput {
+                iso: crate::units::Iso(100.0),
+                levels: levels.collect(),
+                dark: vec![],
+                range: [13_000.0; 3],
+                black: [500.0; 3],
+                cut_off_dn: None,
+                steps: crate::calibration::Steps::WHOLE,
+                saturation_source: LevelSource::Measured,
+                black_error: 0.0,
+                stops: None,
+            })
+        };
+        assert!(told([1.0, 2.0, 4.0, 5.7, 8.0]).is_ok());
+        assert_eq!(told([1.0, 2.0, 4.0, 2.0, 8.0]), Err(NoLinearity::LightUntold));
+        assert_eq!(told([1.0, 2.0, 2.0, 5.7, 8.0]), Err(NoLinearity::LightUntold));
     }
 
     #[test]

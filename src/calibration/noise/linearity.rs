@@ -26,11 +26,9 @@ const FEWEST: usize = 3;
 /// Deviation from which the knee is reached.
 const KNEE: f64 = 0.01;
 /// Standard errors that a bent level must deviate by.
-const SURE: f64 = 3.0;
-/// Part by which a shutter's time usually misses its label.
+pub(super) const SURE: f64 = 3.0;
+/// Part by which a shutter's time usually misses its label: half of it is one standard error.
 pub(super) const LABEL: f64 = 0.02;
-/// The least bend that is told where such labels tell the light: half of [`LABEL`] is one standard error.
-pub(super) const LEAST_BEND: f64 = 0.5 * LABEL * SURE;
 /// Standard deviation of normal noise over its median absolute deviation.
 const OF_MEDIAN: f64 = 1.4826;
 /// Rounds of seeking slope and knee in turn.
@@ -60,6 +58,9 @@ pub enum LightSource {
 pub struct Linearity {
     /// Where the light is known from.
     pub light_source: LightSource,
+    /// Standard error of the light by the shutter's labels, 1 = 100 %, the largest of the colours; absent without labels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub label_standard_error: Option<f64>,
     /// Mean absolute deviation from the line, 1 = 100 %.
     pub linearity_error: f64,
     /// The deviation that is largest in absolute value, among those that count, 1 = 100 %.
@@ -92,6 +93,9 @@ pub struct LinearityStep {
     /// Standard error of `deviation`: noise, black, how far two frames of one light part, and how far the shutter's labels
     /// may be off where they tell the light.
     pub deviation_standard_error: f64,
+    /// Whether it counts for `linearity_error`.
+    #[serde(default)]
+    pub counts: bool,
     /// Frames of the level: places in the order given, from 0.
     #[serde(default)]
     pub shot_numbers: Vec<usize>,
@@ -144,6 +148,8 @@ struct Response {
     straight: usize,
     /// Signal at the knee, DN.
     knee: Option<f64>,
+    /// Standard error of the light by labels.
+    label: f64,
 }
 
 /// Line and knee of one colour; `own` has light and reading of its levels, ascending. `None` if fewer than [`FEWEST`]
@@ -193,7 +199,7 @@ fn response(own: &[(f64, Reading)], range: f64, black_error: f64, source: LightS
         let last = own[straight - 1].1.mean;
         last + (bent.mean - last) * ((KNEE - before) / (beyond - before)).clamp(0.0, 1.0)
     });
-    Some(Response { deviations, straight, knee })
+    Some(Response { deviations, straight, knee, label })
 }
 
 /// Holds readings against light; levels ascend. `range` is saturation less black of each colour, DN; `black_error` that of
@@ -206,48 +212,43 @@ pub(super) fn fit(
     missing_levels: usize,
 ) -> Result<Linearity, NoLinearity> {
     let darkest = levels.iter().map(|level| level.0).fold(f64::INFINITY, f64::min);
-    let (mut steps, mut counting, mut knee_dn) = (vec![], vec![], None::<f64>);
+    let (mut steps, mut label_error, mut knee_dn) = (vec![], 0.0f64, None::<f64>);
     for c in 0..3 {
         let own = levels.iter().filter_map(|(light, readings)| Some((light / darkest, readings[c]?)));
         let own: Vec<(f64, Reading)> = own.filter(|(_, s)| s.mean > 0.0).collect();
-        let Some(Response { deviations, straight, knee }) =
-            response(&own, range[c], black_error, light_source)
-        else {
-            continue;
-        };
-        knee_dn = match (knee_dn, knee) {
+        let Some(found) = response(&own, range[c], black_error, light_source) else { continue };
+        label_error = label_error.max(found.label);
+        knee_dn = match (knee_dn, found.knee) {
             (Some(lowest), Some(own)) => Some(lowest.min(own)),
             (either, other) => either.or(other),
         };
         for (at, ((light, s), (deviation, deviation_standard_error))) in
-            own.iter().zip(deviations).enumerate()
+            own.iter().zip(found.deviations).enumerate()
         {
-            let colour = COLOURS[c].to_owned();
-            let step = LinearityStep {
+            steps.push(LinearityStep {
                 light: *light,
-                colour,
+                colour: COLOURS[c].to_owned(),
                 signal_dn: s.mean,
                 deviation,
                 deviation_standard_error,
+                counts: at < found.straight && (FROM..=TO).contains(&(s.mean / range[c])),
                 shot_numbers: vec![],
-            };
-            if at < straight && (FROM..=TO).contains(&(s.mean / range[c])) {
-                counting.push((s.mean, deviation));
-            }
-            steps.push(step);
+            });
         }
     }
     steps.sort_by(|a, b| a.signal_dn.total_cmp(&b.signal_dn));
-    counting.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let counting: Vec<&LinearityStep> = steps.iter().filter(|step| step.counts).collect();
     let (Some(first), Some(last), Some(top)) = (counting.first(), counting.last(), steps.last()) else {
         return Err(NoLinearity::TooFew);
     };
     let larger = |a: f64, b: f64| if b.abs() > a.abs() { b } else { a };
     Ok(Linearity {
         light_source,
-        linearity_error: counting.iter().map(|c| c.1.abs()).sum::<f64>() / counting.len() as f64,
-        largest_deviation: counting.iter().map(|c| c.1).fold(0.0, larger),
-        range_dn: [first.0, last.0],
+        label_standard_error: (label_error > 0.0).then_some(label_error),
+        linearity_error: counting.iter().map(|step| step.deviation.abs()).sum::<f64>()
+            / counting.len() as f64,
+        largest_deviation: counting.iter().map(|step| step.deviation).fold(0.0, larger),
+        range_dn: [first.signal_dn, last.signal_dn],
         knee_dn,
         checked_to_dn: top.signal_dn,
         missing_levels,

@@ -1,12 +1,10 @@
 //! Values that the frames of one ISO have: where dark ones are cut off, and the steps between values.
 
-use crate::calibration::histogram::{Centre, CutOff, Histogram, Steps};
+use crate::calibration::histogram::{Centre, CutOff, Histogram, Steps, WHOLE_STEP};
 use crate::photometry::Mosaic;
 
 /// Values that a site can have.
 const VALUES: usize = 1 << 16;
-/// Steps up to which they are those of whole DN.
-const WHOLE: f64 = 1.02;
 
 /// Counts of the values of all frames of one ISO, by filter position.
 pub struct SensorValues {
@@ -57,7 +55,7 @@ impl SensorValues {
         let of: [Steps; 4] = std::array::from_fn(steps);
         let low = (of.iter().map(|s| s.low * s.low).sum::<f64>() / 4.0).sqrt();
         let companded = of.iter().filter(|s| s.companded()).map(|s| s.high).reduce(f64::max);
-        let low = if low > WHOLE { low } else { 1.0 };
+        let low = if low > WHOLE_STEP { low } else { 1.0 };
         Steps { low, high: companded.unwrap_or(low).max(low) }
     }
 }

@@ -1,7 +1,7 @@
 //! What the figures mean, for people.
 
 use super::figures::APART;
-use super::linearity::{LABEL, LEAST_BEND, LightSource, Linearity};
+use super::linearity::{self, LABEL, LightSource, Linearity};
 use super::{IsoNoise, NoiseFit};
 use crate::calibration::Verdict;
 use crate::calibration::rounding::COARSE;
@@ -113,6 +113,11 @@ impl IsoNoise {
     }
 }
 
+/// The least bend that is told where labels tell the light; older records do not have the labels' error.
+fn least_bend(linearity: &Linearity) -> f64 {
+    linearity::SURE * linearity.label_standard_error.unwrap_or(0.5 * LABEL)
+}
+
 fn linearity_words(linearity: &Linearity) -> String {
     let [from, to] = linearity.range_dn;
     let knee = match linearity.knee_dn {
@@ -127,9 +132,9 @@ fn linearity_words(linearity: &Linearity) -> String {
         LightSource::Stops => "The light's steps are those given (--stops)".to_owned(),
         LightSource::Shutter => format!(
             "The light's steps are the shutter's labels, whose own errors ({:.0} % and more are usual) are in these figures, so that no \
-             bend of less than {:.0} % is told",
+             bend of less than {:.1} % is told",
             100.0 * LABEL,
-            100.0 * LEAST_BEND
+            100.0 * least_bend(linearity)
         ),
     };
     format!(
@@ -137,4 +142,31 @@ fn linearity_words(linearity: &Linearity) -> String {
         100.0 * linearity.linearity_error,
         100.0 * linearity.largest_deviation
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::linearity::{Reading, fit};
+    use super::*;
+
+    #[test]
+    fn the_least_bend_that_is_told_grows_with_the_labels_errors() {
+        for (scatter, least) in [(0.0f64, 0.01), (0.04, 0.02)] {
+            // Levels by thirds of a stop, off by this much, half of it, or not at all.
+            let levels = (0..12).map(|k| {
+                let light = 800.0 * (f64::from(k) / 3.0).exp2();
+                let off = scatter * [0.0, 1.0, -1.0, 0.5, -0.5][k as usize % 5];
+                let mean = light * (1.0 + off);
+                (light, [Some(Reading { mean, error: 1e-4 * mean }); 3])
+            });
+            let levels: Vec<_> = levels.collect();
+            let found = fit(&levels, [13_000.0; 3], 0.0, LightSource::Shutter, 0).unwrap();
+            let error = found.label_standard_error.unwrap();
+            assert!(error >= least, "{found:?}");
+            let told = format!("no bend of less than {:.1} % is told", 300.0 * error);
+            assert!(linearity_words(&found).contains(&told), "{}", linearity_words(&found));
+            let by_stops = fit(&levels, [13_000.0; 3], 0.0, LightSource::Stops, 0);
+            assert!(by_stops.is_ok_and(|found| found.label_standard_error.is_none()));
+        }
+    }
 }

@@ -203,7 +203,11 @@ fn tell(record: &Record<FlashCalibration>) {
     println!("{field}: 1 {a1:+.4} q {a2:+.4} q^2 {a3:+.4} q^3, q = (r / half diagonal)^2");
     println!("flash's jitter: {:.2} %", 100.0 * fit.findings.jitter_deviation);
     println!("noise: variance = {:.4} DN * signal + {:.2} DN^2", fit.noise.gain, fit.noise.floor);
-    println!("residual over all shots: {:.2} %", 100.0 * fit.residual_rms);
+    println!(
+        "residual over all shots: {:.2} %, of which {:.2} % is not the sensor's noise",
+        100.0 * fit.residual_rms,
+        100.0 * fit.misfit_rms
+    );
 }
 
 /// A frame, and after the last equals sign its energy.

@@ -48,8 +48,8 @@ pub(super) async fn record(
 }
 
 /// Takes a shot for a calibration. With JSON or nothing, the camera shoots as it stands (a job): a frame without flash; of
-/// the colour chart lit by the flash; of the card, one without and one with flash. A form brings raw files instead; one that is there
-/// already is not taken twice.
+/// the colour chart and of steadiness lit by the flash; of the card, one without and one with flash. A form brings raw files
+/// instead; one that is there already is not taken twice.
 #[utoipa::path(post, path = "/api/v1/sessions/{session}/calibration/{kind}/shots", tag = "processing",
     params(("session" = String, Path, description = "Name of the session", example = "birdbath"),
         ("kind" = CalibrationKind, Path, description = "For which calibration"),

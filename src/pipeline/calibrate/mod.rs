@@ -51,6 +51,8 @@ pub(super) struct Series<'a> {
     pictures: Vec<Option<Vec<u8>>>,
     /// Figures beside the chart, by what their files' names end in.
     figures: Vec<(&'static str, Vec<u8>)>,
+    /// Files beside the record, by name.
+    beside: Vec<(String, Vec<u8>)>,
 }
 
 impl<'a> Series<'a> {
@@ -75,6 +77,7 @@ impl<'a> Series<'a> {
             remarks: vec![],
             pictures: vec![],
             figures: vec![],
+            beside: vec![],
         })
     }
 
@@ -174,6 +177,11 @@ impl<'a> Series<'a> {
         self.figures.push((ending, bytes));
     }
 
+    /// A file to be kept in `calibration/` with the record.
+    pub(super) fn beside(&mut self, name: String, bytes: Vec<u8>) {
+        self.beside.push((name, bytes));
+    }
+
     /// Says why a shot is not used.
     pub(super) fn leave_out(&mut self, shot: usize, why: String) {
         self.shots[shot].left_out = Some(why);
@@ -204,6 +212,7 @@ impl<'a> Series<'a> {
             remarks,
             pictures,
             mut figures,
+            beside,
             ..
         } = self;
         verdict.sentences.extend(sensor_levels::remarks(&levels, &settings));
@@ -231,6 +240,9 @@ impl<'a> Series<'a> {
         figures.push(("svg", chart::picture(figure).into_bytes()));
         progress.check()?;
         let progress = &progress.unstoppable();
+        for (name, bytes) in beside {
+            session.keep(&session.calibration_dir().join(name), &bytes)?;
+        }
         store(session, kind, &record, &figures)?;
         progress.report("copying the shots", count, count);
         for (shot, picture) in record.shots.iter().zip(pictures) {

@@ -39,3 +39,20 @@ fn what_cannot_be_compared_with_the_body_of_the_photos_is_said() {
     assert!(of_silent_records[0].starts_with("calibration/levels.json IS NOT USED"));
     assert!(of_silent_records[1].contains("BODY calibration/flash.json IS"));
 }
+
+#[test]
+fn a_cancelled_calibration_leaves_nothing_that_was_to_be_kept_beside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = Session::create(&folder.path().join("s"), "s").unwrap();
+    let mut series = Series::new(&session, "flash").unwrap();
+    series.beside("flash_12345678.json".into(), b"{}".to_vec());
+    let progress = Progress::silent();
+    progress.cancel();
+    let points = chart::Series { name: String::new(), points: vec![(0.0, 1.0, 0.0), (1.0, 2.0, 0.0)] };
+    let (caption, across, up) = Default::default();
+    let figure = Chart { caption, across, up, series: vec![points] };
+    let verdict = Verdict { good: true, sentences: vec![] };
+    let kept = series.keep(json!({}), verdict, &figure, &progress);
+    assert!(matches!(kept, Err(SeriesError::Cancelled(_))));
+    assert!(!session.calibration_dir().join("flash_12345678.json").exists());
+}

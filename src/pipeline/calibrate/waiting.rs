@@ -296,9 +296,9 @@ pub fn remove(session: &Session, kind: Kind, number: u32) -> Result<(), WaitingE
         tempfile::Builder::new().prefix(store::TEMPORARY_PREFIX).tempdir_in(&folder).map_err(io(&folder))?;
     std::fs::rename(&own, aside.path().join("shot")).map_err(io(&own))?;
     store::sync_folder(&folder).map_err(io(&folder))?;
-    aside.close().map_err(io(&folder))?;
     // Whoever hears of it, as the mirror does, finds it gone.
-    note(session, FRAME_REMOVED, kind, number, &shot.frame.blake3)
+    note(session, FRAME_REMOVED, kind, number, &shot.frame.blake3)?;
+    aside.close().map_err(io(&folder))
 }
 
 /// The paths of shots' frames, each as it was stored.

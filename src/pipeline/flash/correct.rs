@@ -29,7 +29,7 @@ pub fn correct(
         card.even_colours(colours);
     }
     let settings = reader.first.ok_or(FlashError::NoShots)?;
-    let (series, sights, notes) = (reader.series, reader.sights, reader.notes);
+    let (mut series, sights, notes) = (reader.series, reader.sights, reader.notes);
     let name = card.label.clone();
     fits(&before, &name, &settings, &series.rig().lighting)?;
     let aperture = before.fit.aperture.map(FNumber);
@@ -51,8 +51,7 @@ pub fn correct(
         correction.base_file = format!("calibration/{base}");
         correction.base_blake3 = blake3;
     }
-    progress.check()?;
-    session.keep(&session.calibration_dir().join(base), &bytes)?;
+    series.beside(base, bytes);
     let (mut verdict, figure) = (fit.verdict(facts.paper), picture(&fit));
     verdict.sentences.extend(card_tags::sentences(&fit.findings.card_tags));
     verdict.sentences.extend(notes);

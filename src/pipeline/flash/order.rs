@@ -67,10 +67,10 @@ impl FlashOrder {
         }
         let rising = self.target_curve.windows(2).all(|two| two[1][0] > two[0][0]);
         let within =
-            |[degrees, factor]: &[f64; 2]| (0.0..90.0).contains(degrees) && (0.0..=2.0).contains(factor);
+            |[degrees, factor]: &[f64; 2]| (0.0..89.9).contains(degrees) && *factor > 0.0 && *factor < 10.0;
         refuse(
             !(rising && self.target_curve.iter().all(within)),
-            "target_curve takes angles in degrees from 0 to 90, rising, each with the factor on the reflectance".into(),
+            "target_curve takes angles in degrees, 0 to less than 89.9 and rising, each with the factor on the reflectance, more than 0 and less than 10".into(),
         )?;
         if let Some(focal) = self.focal_px {
             let words = format!("focal_px is {focal}, but a focal length is greater than 0");
@@ -127,6 +127,7 @@ mod tests {
             (json!({ "ring_radii": [0.1, 0.05] }), "larger outer"),
             (json!({ "ring_radii": ring, "target_reflectance": 1.2 }), "target_reflectance is 1.2"),
             (json!({ "ring_radii": ring, "target_curve": [[20, 0.9], [10, 1.0]] }), "rising"),
+            (json!({ "ring_radii": ring, "target_curve": [[0, 1], [20, 0]] }), "more than 0"),
             (json!({ "ring_radii": ring, "focal_px": 0 }), "focal_px is 0"),
             (json!({ "ring_radii": ring, "tag_size_m": -0.05 }), "-0.05 cannot be"),
             (json!({ "ring_radii": ring, "tag_outset_m": 0.01 }), "tag_size_m, too"),

@@ -216,6 +216,7 @@ fn numbers(fit: &FlashCalibration, from: &[usize]) -> Piece {
     rows.extend([
         percent(jitter, Some(found.jitter_deviation), 3),
         percent("Residual over all cells", Some(fit.residual_rms), 3),
+        percent("Of it not the sensor's noise", Some(fit.misfit_rms), 3),
         percent("Shots predicted without themselves, mean error", found.left_one_out_error, 3),
         percent("Shots kept from the fit, mean error", found.held_out_error, 3),
         percent("Second render against the shots, worst colour", Some(second), 4),

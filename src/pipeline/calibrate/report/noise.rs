@@ -157,13 +157,12 @@ fn numbers(noise: &IsoNoise, all: &[usize], lit: &[usize]) -> Piece {
             let shots: BTreeSet<usize> = own.flat_map(|step| step.shot_numbers.iter().copied()).collect();
             shots.into_iter().collect()
         };
-        let counting = shots(&|step| (from..=to).contains(&step.signal_dn));
         rows.push(figure(
             &format!("Linearity error from {from:.0} to {to:.0} DN"),
             format!("{:.3}", 100.0 * linearity.linearity_error),
             "%",
             None,
-            &counting,
+            &shots(&|step| step.counts),
         ));
         rows.push(figure(
             "Largest deviation",

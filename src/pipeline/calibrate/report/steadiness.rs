@@ -76,6 +76,20 @@ struct Origin {
     settings: Settings,
 }
 
+/// What the controller's series says, in two sentences.
+fn words(run: &Steadiness, measured: &str) -> String {
+    let by_energy = run
+        .light_by_energy_deviation
+        .map(|left| format!(", and {:.3} % divided by the measured energy", 100.0 * left));
+    format!(
+        "In the controller's own series of {} shots ({measured}) the known light has a standard deviation of {:.3} %{}. No \
+         frames of it are kept.",
+        run.frames.len(),
+        100.0 * run.light_deviation,
+        by_energy.unwrap_or_default()
+    )
+}
+
 impl Page<'_> {
     /// The series that the flash controller shot and measured itself, if there is one: beside that from frames, or in
     /// its place.
@@ -89,13 +103,7 @@ impl Page<'_> {
         let origin = serde_json::from_slice::<Origin>(&file).ok();
         let measured = origin.as_ref().map_or_else(|| "date not told".into(), |o| moment(&o.taken));
         let rig = origin.map(|origin| Rig::of(&origin.settings)).unwrap_or_default();
-        let words = format!(
-            "In the controller's own series of {} shots ({measured}) the known light has a standard deviation of {:.3} %, and \
-             {:.3} % divided by the measured energy. No frames of it are kept.",
-            run.frames.len(),
-            100.0 * run.light_deviation,
-            100.0 * run.light_by_energy_deviation.unwrap_or(run.light_deviation)
-        );
+        let words = words(&run, &measured);
         let pieces = repeatability(&run).into_iter().map(Piece::Block);
         if let Some(part) = self.parts.iter_mut().find(|part| part.id == STEADINESS.id) {
             part.sentences.push(words);
@@ -123,5 +131,21 @@ impl Page<'_> {
         if !self.rigs.contains(&rig) {
             self.rigs.push(rig);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::{SteadyShot, steadiness};
+
+    #[test]
+    fn the_controllers_series_tells_of_energies_only_where_they_were_measured() {
+        let told = |energy_counts: Option<f64>| {
+            let shot = SteadyShot { light_dn: [100.0; 3], energy_counts, ..SteadyShot::default() };
+            words(&steadiness(vec![shot; 8]).unwrap(), "today")
+        };
+        assert!(told(Some(500.0)).contains("0.000 %, and 0.000 % divided by the measured energy. No frames"));
+        assert!(told(None).contains("of 8 shots (today)") && told(None).contains("0.000 %. No frames"));
     }
 }
