@@ -49,5 +49,5 @@ fn noise_of_dim_shots_does_not_make_a_calibration_bad_and_a_blotched_card_does()
 fn a_misfit_is_told_as_large_as_it_is_among_bright_and_dim_shots() {
     let mixed = series(6e4, [0.3, 0.8, 2.4], 0.01);
     println!("residual {}, misfit {}", mixed.residual_rms, mixed.misfit_rms);
-    assert!(mixed.residual_rms > 0.018 && (mixed.misfit_rms - 0.01).abs() < 0.002, "{mixed:?}");
+    assert!(mixed.residual_rms > 0.014 && (mixed.misfit_rms - 0.01).abs() < 0.002, "{mixed:?}");
 }
