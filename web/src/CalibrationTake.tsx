@@ -70,7 +70,7 @@ export function TakeOne({ live, session, kind, take, distance }: Props) {
       </p>
       {!isCard && <NextDials live={live} usual={usual} onChange={setExposures} />}
       <div class="actions">
-        <Field label={words.inARow} value={inARow} hint={usual.count} least={1} most={100} free onChange={setInARow} />
+        <Field whole label={words.inARow} value={inARow} hint={usual.count} least={1} most={100} free onChange={setInARow} />
         <button type="button" disabled={live.rigJob !== null} onClick={() => void shoot()}>
           {label}
         </button>
@@ -156,6 +156,7 @@ function OpenDials({ live, usual, onChange }: { live: Live; usual: Series; onCha
           </label>
           {dial !== "none" && (
             <Field
+              whole
               label={words.steps}
               value={steps}
               hint={usual.steps}

@@ -6,6 +6,8 @@ export function Field(props: {
   hint?: number;
   least: number;
   most: number;
+  /** Whole numbers only. */
+  whole?: boolean;
   /** May be left empty. */
   free?: boolean;
   onChange: (value: string) => void;
@@ -15,11 +17,11 @@ export function Field(props: {
       {props.label}
       <input
         type="number"
-        inputMode="decimal"
+        inputMode={props.whole ? "numeric" : "decimal"}
         required={!props.free}
         min={props.least}
         max={props.most}
-        step="any"
+        step={props.whole ? 1 : "any"}
         value={props.value}
         placeholder={props.hint === undefined ? "" : String(props.hint)}
         onInput={(event) => props.onChange(event.currentTarget.value)}

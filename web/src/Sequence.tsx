@@ -1,4 +1,5 @@
 import { useEffect, useState } from "preact/hooks";
+import { Field } from "./Field";
 import type { Live } from "./live";
 import {
   type Between,
@@ -143,7 +144,7 @@ function PlanForm({ live, session }: { live: Live; session: string }) {
       }}
     >
       <p class="dim">{words.explain}</p>
-      <Figure label={words.positions} value={positions} least={1} most={1000} onChange={setPositions} />
+      <Field whole label={words.positions} value={positions} least={1} most={1000} onChange={setPositions} />
       <label>
         {words.between}
         <select value={kind} onChange={(event) => setKind(event.currentTarget.value as Between["kind"])}>
@@ -155,9 +156,9 @@ function PlanForm({ live, session }: { live: Live; session: string }) {
         </select>
       </label>
       {kind === "countdown" && (
-        <Figure label={words.seconds} value={seconds} least={0} most={3600} onChange={setSeconds} />
+        <Field whole label={words.seconds} value={seconds} least={0} most={3600} onChange={setSeconds} />
       )}
-      <Figure label={words.interval} value={interval} least={0} most={86400} onChange={setLeast} />
+      <Field whole label={words.interval} value={interval} least={0} most={86400} onChange={setLeast} />
       <label>
         {words.order}
         <select value={order} onChange={(event) => setOrder(event.currentTarget.value as Order)}>
@@ -168,34 +169,10 @@ function PlanForm({ live, session }: { live: Live; session: string }) {
           ))}
         </select>
       </label>
-      <Figure label={words.offFrames} value={offFrames} least={1} most={16} onChange={setOffFrames} />
+      <Field whole label={words.offFrames} value={offFrames} least={1} most={16} onChange={setOffFrames} />
       <button type="submit" disabled={sending}>
         {words.plan}
       </button>
     </form>
-  );
-}
-
-function Figure(props: {
-  label: string;
-  value: string;
-  least: number;
-  most: number;
-  onChange: (value: string) => void;
-}) {
-  return (
-    <label>
-      {props.label}
-      <input
-        type="number"
-        inputMode="numeric"
-        required
-        min={props.least}
-        max={props.most}
-        step={1}
-        value={props.value}
-        onInput={(event) => props.onChange(event.currentTarget.value)}
-      />
-    </label>
   );
 }
